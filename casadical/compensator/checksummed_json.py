@@ -44,8 +44,7 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
 
     format and version are among them.
 
-    Raises InputError when it is not there, truncated, changed, of another kind, or of another
-    version.
+    Raises InputError: it is missing, truncated, changed, or of another kind or version.
     """
     try:
         text = read_text(Path(path), MAX_JSON_BYTES)

@@ -1,6 +1,6 @@
 """Compensator of the error that remains after calibration (paper, section 4).
 
-A network is kept only if it reduces the error of poses on which it was not trained.
+A network is used only if it reduces the error of poses on which it was not trained.
 
 Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added
 to the computed one. Positions are in the measuring frame.

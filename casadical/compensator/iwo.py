@@ -157,7 +157,7 @@ class InvasiveWeeds:
         self.dimension = dimension
         self._random = np.random.default_rng(seed)
         try:
-            # A scalar bound is kept as a scalar, because clipping at it is faster.
+            # A scalar bound stays a scalar, because clipping at it is faster.
             self._lower, self._upper = (np.asarray(b, float) for b in (self.settings.lower, self.settings.upper))
             np.broadcast_to(self._lower + self._upper, (dimension,))
         except ValueError:

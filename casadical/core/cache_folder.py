@@ -12,7 +12,7 @@ def private_folder(name: str = "") -> Path | None:
     """Return casadical's cache folder, or a folder in it, which is made if it is missing.
 
     It is the folder `casadical` in that of the variable CASADICAL_CACHE, else in the user's cache
-    folder; it is made with mode 0700. The folder of the variable itself is left as it is.
+    folder; it is made with mode 0700. The folder of the variable itself is unchanged.
 
     If others could write to it, their permission and the cached files are removed. None is returned
     where it cannot be made, is a link, or belongs to another user.
@@ -22,7 +22,7 @@ def private_folder(name: str = "") -> Path | None:
     try:
         given = os.environ.get("CASADICAL_CACHE")
         folder = Path(given, "casadical") if given else Path(platformdirs.user_cache_dir("casadical"))
-        if not (given or folder.is_absolute()):  # no home: "~" was left as it is
+        if not (given or folder.is_absolute()):  # no home: "~" was not expanded
             return None
         for place in (folder, folder / name) if name else (folder,):
             place.mkdir(parents=True, exist_ok=True, mode=0o700)

@@ -160,7 +160,7 @@ class Drive(TomlTable):
                 raise FaultError(("drive", name), f"has {len(value)} numbers; {wanted}")
 
     def table(self) -> dict[str, object]:
-        """Return the known values by TOML key; a key ends in the first unit of its quantity."""
+        """Return the declared values by TOML key; a key ends in the first unit of its quantity."""
         return {key: value for (_, value), key in zip(self, self.keys(), strict=True) if value not in (None, "")}
 
 

@@ -12,7 +12,7 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
     """Return `__getattr__`, `__dir__` and `__all__` of a package that loads its names when used.
 
     package, file : `__name__` and `__file__` of the package
-    The stub beside it, `__init__.pyi`, which type checkers and editors read too, has a line
+    The stub next to it, `__init__.pyi`, which type checkers and editors read too, has a line
     `from MODULE import NAME as NAME` for each public name and is the only list of them. A name must
     not be that of a module in the package: once that is imported, Python finds the module first.
     Subpackages and modules of the package are loaded on first use, too.

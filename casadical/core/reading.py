@@ -322,7 +322,7 @@ def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str,
     elif isinstance(value, str) and text_fault(value):
         yield f"{place} = {ascii(value)[:60]}", text_fault(value)
     elif isinstance(value, float) and not math.isfinite(value):
-        return  # the schema says so, beside what else is wrong
+        return  # the schema says so, with all else that is wrong
     elif isinstance(value, int | float) and not isinstance(value, bool) and number_fault(value):
         yield f"{place} = {_short(value)}", number_fault(value)
 

@@ -70,8 +70,7 @@ def thirds(values: Array) -> tuple[Array, Array]:
 def rounded_at(value: float, size: float, digits: int) -> float:
     """Return a value rounded to the decimal place `digits` after the leading digit of `size`.
 
-    Digits that rounding errors decide are dropped. The value is unchanged if `size` is zero or not
-    finite.
+    Digits that rounding errors decide are dropped. It is unchanged if `size` is zero or not finite.
     """
     if not (size and math.isfinite(size)):
         return float(value)

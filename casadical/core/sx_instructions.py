@@ -101,8 +101,7 @@ class SxInstructions:
     def on_arrays(self, *inputs: Sequence[Any]) -> list[list[Array | float]]:
         """Return the structural nonzeros of every output, evaluated with numpy on whole arrays.
 
-        For short functions at many points this is many times faster than CasADi, which goes point
-        by point.
+        For short functions at many points this is many times faster than CasADi.
 
         inputs : for each input of the function its nonzeros, numbers or arrays that broadcast
             together

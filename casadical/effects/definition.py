@@ -46,7 +46,7 @@ def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) 
     return simulator.with_drive(effect, "gear of the drive", ratio=1 + v["k"])
 
 
-def foot_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+def pedestal_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with elastic hinges of the pedestal.
 
     v : `rx` and `ry`, tilts about the base frame's x and y under the maximum over the joints of
@@ -137,7 +137,7 @@ def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> 
 # `counterpart`.
 COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]], Counterparts]] = {
     "gear ratio": gear_ratio,
-    "foot hinges": foot_hinges,
+    "foot hinges": pedestal_hinges,
     "joint spring": joint_spring,
     "dry friction": dry_friction,
     "soft spring": soft_spring,

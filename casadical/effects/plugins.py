@@ -63,7 +63,7 @@ def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
 def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
     """Return the effect class of each definition in a file, in order.
 
-    Raises InputError for a faulty definition, and for a name of a known effect or one that occurs
+    Raises InputError for a faulty definition, and for the name of another effect or one that occurs
     twice.
     """
     kinds = effect_classes(definitions)

@@ -120,7 +120,7 @@ class LinkMasses(Effect):
 
     share : prior standard deviation of each link's mass, divided by the declared mass
     centre : prior standard deviation of each coordinate of a link's mass centre [m]
-    Both are zero for a link without declared mass, and where they are known exactly (see
+    Both are zero for a link without declared mass, and where they are exact (see
     `Arm.body_width`).
     """
 

@@ -47,8 +47,8 @@ _NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
 _SURE = 0.9
 # What carries the camera -> what moved, if what the flange carries did, or what stands.
 _MOVED = {
-    "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's foot"},
-    "to base": {"tool": "the board on the flange", "base": "the camera or the robot's foot"},
+    "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's pedestal"},
+    "to base": {"tool": "the board on the flange", "base": "the camera or the robot's pedestal"},
 }
 
 
@@ -101,7 +101,7 @@ class CameraError(Shown):
 class Moved(Shown):
     """What moved at once between two poses.
 
-    what : camera, board or foot; before, after : rows of the poses; probability : that something moved
+    what : camera, board or pedestal; before, after : rows of the poses; probability : that something moved
     shift, turn : how far [m], and by what angle [rad]
     """
 
@@ -141,7 +141,7 @@ class ArmOrCamera(Shown):
     total : root mean square of the errors with the nominal arm, base and tool fitted [m]
     noise : that of the camera's noise [m]; arm, camera : what they contribute
     errors : of the camera; parameters : of the arm that contribute most
-    moved : most probable step of camera, board or foot; what is said of arm and camera is without it
+    moved : most probable step of camera, board or pedestal; what is said of arm and camera is without it
         where it is sure
     ratios, sigmas : the camera's noise, and its sigmas of lengths [m] and angles [rad]
     sure : errors of the camera that are sure, zero where they are not; None without any
@@ -210,7 +210,7 @@ def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     """Return which of arm and camera is wrong by the poses of an identification.
 
     None where no camera measured poses, or fewer than twelve, other measurements were fitted too, or
-    base or tool were known.
+    base or tool were given.
     """
     problem = found.problem
     (m, *others) = problem.sets
@@ -286,20 +286,20 @@ class _Model(NamedTuple):
     names: Array
 
     def settled(self, noise: CameraNoise, sigmas: tuple[float, float]) -> ArmOrCamera:
-        """Return the answer after weights, fit and variance components have taken turns.
+        """Return the answer with the noise estimated by weighted fits and variance components.
 
-        noise, sigmas : with which they start
+        noise, sigmas : first estimate
         """
         for _ in range(4):  # by then they have settled
             noise, sigmas = self.refined(noise, sigmas)
         return self.answer(noise, sigmas)
 
     def step(self, answer: ArmOrCamera, groups: Array) -> tuple[Moved, str] | None:
-        """Return the most probable step of what the flange carries or what stands, and its group.
+        """Return the most probable step of tool or base frame between rows, and its group, or None.
 
-        A step has a probability of 0.1, anywhere, of 0.5 mm and 1 mrad or of 3 mm and 8 mrad.
+        Prior: probability 0.1, sigmas of 0.5 mm and 1 mrad or of 3 mm and 8 mrad.
 
-        answer : without one; groups : of the columns of frames, "base" or "tool"
+        answer : posterior without a step; groups : of the columns of frames, "base" or "tool"
         """
         y, frames, rest = self.whitened(answer.ratios, answer.sigmas)
         Q = np.linalg.qr(frames)[0]
@@ -335,9 +335,9 @@ class _Model(NamedTuple):
         return Moved(_MOVED[self.m.camera][group], *rows, probability, float(shift), float(turn)), group
 
     def whitened(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[Array, Array, Array]:
-        """Return what the model explains (6 n,), and the columns of frames (6 n, f), and of arm and camera (6 n, k).
+        """Return whitened residuals (6 n,), columns of frames (6 n, f), of arm and camera (6 n, k).
 
-        They are in units of the noise. Columns of the camera: depth and tilt by a relative error of the focal length,
+        Columns of the camera: depth and tilt by a relative error of the focal length,
         the board's scale, and its displacement by a radial distortion. Of corners in images, they are those of the
         reprojection errors, the first with the tilt, and four rows more are of what the camera alone explains.
         """
@@ -354,9 +354,9 @@ class _Model(NamedTuple):
         return np.append(y, pixel * c), np.pad(frames, ((0, len(C)), (0, 0))), np.vstack([rest, more])
 
     def refined(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[CameraNoise, tuple[float, float]]:
-        """Return the noise that is left by a fit of frames, arm and camera together.
+        """Return ratios and sigmas of the noise by the residuals of frames, arm and camera.
 
-        The size of the arm's departures is that of the estimate and its variance (expectation maximisation).
+        The prior size of the arm's departures is estimated, too (expectation maximisation).
         """
         y, frames, rest = self.whitened(noise, sigmas)
         A, size = np.hstack([frames, rest]), 1.0
@@ -372,7 +372,7 @@ class _Model(NamedTuple):
         return refined(self.m.view, noise, e, freedom, sigmas)
 
     def answer(self, noise: CameraNoise, sigmas: tuple[float, float], draws: int = 1000) -> ArmOrCamera:
-        """Return the posterior of both sides' contributions, as samples tell it.
+        """Return the posterior errors of arm and camera by sampling.
 
         noise, sigmas : of the camera; draws : number of samples
         """
@@ -431,16 +431,16 @@ class _Model(NamedTuple):
 
 
 def _share(samples: Array, noise: float) -> Share:
-    """Return median, 95 % interval and probability of relevance of what arm or camera contributes.
+    """Return median, 95 % interval and probability of relevance of an error of a side.
 
-    samples : of the posterior of its contribution, rms over the poses [m]; noise : the camera's [m]
+    samples : of its posterior, rms over the poses [m]; noise : 4 times a relevant error [m]
     """
     low, median, high = (float(v) for v in np.quantile(samples, [0.025, 0.5, 0.975]))
     return Share(median, low, high, float(np.mean(samples > noise / 4)))
 
 
 def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:
-    """Return all combinations of prior widths: of each variable (s, k + 4), log prior (s,), which errors exist (s, 3).
+    """Return s combinations of prior widths (s, k + 4), log priors (s,), camera errors (s, 3).
 
     drawn, widths : as of `_Model`
     """

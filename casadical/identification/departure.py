@@ -34,7 +34,7 @@ SIZE_GRID = np.array([1e-3, *np.geomspace(0.01, 20.0, 68)])
 PRIOR_PROBABILITY_OF_NONE = 0.3
 # Largest share of a prior in the estimate (0 to 1, mean over the eigenvectors of the information)
 # with which the fit without a prior is used.
-MAX_SHARE_OF_PRIOR = 0.08
+MAX_PRIOR_SHARE_OF_ESTIMATE = 0.08
 # Largest prior standard deviation that is used [mm, mrad]; above it, the fit without a prior is
 # used: a prior that wide would constrain nothing.
 MAX_PRIOR_SIZE = 3.0
@@ -137,7 +137,7 @@ def _posterior(
     noise = float(np.exp(weight.sum(axis=1) @ np.log(sigmas)))
     by_size = (value / (value + (noise / SIZE_GRID[:, None]) ** 2)).sum(axis=1)
     prior = float(np.exp(np.interp(mean, by_size, np.log(SIZE_GRID))))
-    free = mean > (1 - MAX_SHARE_OF_PRIOR) * len(value) or prior > MAX_PRIOR_SIZE
+    free = mean > (1 - MAX_PRIOR_SHARE_OF_ESTIMATE) * len(value) or prior > MAX_PRIOR_SIZE
     below = np.cumsum(weight.sum(axis=0))
     low, size, high = (float(SIZE_GRID[np.argmax(below > q)]) for q in (0.025, 0.5, 0.975))
     return Departure(size, low, high, None if free else prior)

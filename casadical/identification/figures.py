@@ -88,7 +88,7 @@ def banded(x: Array, low: Array, high: Array, **style: Any) -> Series:
 def parameter_figures(result: Identification) -> Iterator[Figure]:
     """Yield a figure for each unit (mm, deg, ...): identified minus nominal values, 95 % intervals.
 
-    Base and tool frames are left out: their departures depend on how the robot was set up, and are
+    Base and tool frames are omitted: their departures depend on how the robot was set up, and are
     so much larger that they would hide the others.
     """
     table = result.shown

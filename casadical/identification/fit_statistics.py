@@ -38,7 +38,7 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
     """Return the variance of a residual at v in units of sigma^2: square sum by degrees of freedom.
 
-    With a robust loss, and unless outliers were left out (`trimmed`), it comes from a robust
+    With a robust loss, and unless outliers were excluded (`trimmed`), it comes from a robust
     scatter of the residuals instead. With a correlated prior it is at least one: small residuals
     relative to the prior are no sign that the prior or the instrument is better than stated.
     """
@@ -54,7 +54,7 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
     """Return the redundancy number (1 minus leverage) of each residual, shape (residuals,).
 
     Their sum is the number of degrees of freedom of the fit. Those of all sets follow each other,
-    then those of known distances between points.
+    then those of given distances between points.
 
     v : the optimum, shape (size,)
     """
@@ -86,7 +86,7 @@ def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> A
     lost = [(np.zeros(problem.size), np.zeros((problem.size, problem.size))) for _ in range(count)]
     first = [0] * len(problem.sets)
     for k, r, J in problem.parts(v):
-        if k == len(problem.sets):  # known distances between points belong to no row
+        if k == len(problem.sets):  # given distances between points belong to no row
             continue
         at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
         first[k] += len(r)

@@ -24,7 +24,7 @@ from casadical.core.parameters import Parameter
 MAX_DEPENDENT_RESIDUAL = 1e-6
 # Largest length of a Jacobian column, as a share of the longest one, at which the parameter has no
 # effect on the measurements.
-MAX_INVISIBLE_SHARE = 1e-9
+MAX_INVISIBLE_LENGTH_RATIO = 1e-9
 # Condition number of the scaled Jacobian above which some parameters are nearly confounded.
 CONFOUNDED_CONDITION_NUMBER = 1000
 # The reason given for a parameter that has no effect on the measurements.
@@ -73,7 +73,7 @@ def analyse(
     R: Array = np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J
     length = np.linalg.norm(R, axis=0)
     unit = R / np.where(length > 0, length, 1.0)
-    invisible = length <= MAX_INVISIBLE_SHARE * length.max(initial=0.0)
+    invisible = length <= MAX_INVISIBLE_LENGTH_RATIO * length.max(initial=0.0)
     first = np.linalg.qr(unit[:, :always])[0].T
     basis, size = np.zeros((len(first) + len(names), len(R))), len(first)
     basis[:size] = first
@@ -142,7 +142,7 @@ def drop_poor(
 ) -> tuple[list[int], list[Unidentifiable], Array]:
     """Separate parameters that the data determine less accurately than their prior from the others.
 
-    They are left out one by one, the worst first. Guesses stay, constrained by their priors. Bounds
+    They are removed one by one, the worst first. Guesses stay, constrained by their priors. Bounds
     are ignored: a parameter may be at one just because the data do not determine it.
 
     parameters : of the first rows of H; further rows are unknown points, which stay

@@ -253,7 +253,7 @@ def identify(
     method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the
         robot file declares none, if the measurements support it), instead of `free`
     loss : linear, or a robust loss, huber or soft_l1, with which poses beyond what noise reaches
-        once in 100 000 are left out of a last solve; auto is huber where that finds such poses,
+        once in 100 000 are excluded from a last solve; auto is huber where that finds such poses,
         else linear, as in the command `calibrate`
     priors : auto solves without any, and again with a prior on the geometry where the poses leave
         it open, as wide as this arm's departures are (see `departure`); or whether the robot's own
@@ -322,8 +322,7 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     data), and an F-test gives such a reduction by chance a probability below 1e-3, which few data
     require. Only parameters that the data determine are counted, and the robot's priors constrain
     both models. Outliers are those of the compliant model: the residuals of a rigid model of a
-    compliant robot are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST poses of a set, drawn at random,
-    are used.
+    compliant robot are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST random poses of a set are used.
     """
     wider = prepared.compliant
     if wider is None:
@@ -469,7 +468,7 @@ def _with_priors(
 def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
     """Identify the base model, without additional causes, from which a diagnosis starts.
 
-    The loss is huber, without outliers left out, and the robot's own priors apply. A tilted
+    The loss is huber, no outlier is excluded, and the robot's own priors apply. A tilted
     pedestal loads the joints as a cause might: its tilt is identified even where no measurement at
     rest shows it.
 

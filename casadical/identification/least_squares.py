@@ -2,7 +2,7 @@
 
 Variables are v = (x, u): departures x of the free parameters from nominal in units of their scale,
 then three coordinates u [mm] per unknown point, relative to the start. The cost is half the sum of
-squared residuals in units of sigma (through the robust loss), of known distances between points,
+squared residuals in units of sigma (through the robust loss), of given distances between points,
 and of the priors that apply.
 """
 
@@ -455,7 +455,7 @@ class LeastSquares:
         return 0.5 * (sum(float(loss_value(self.loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
 
     def loss_of(self, k: int) -> Loss:
-        """Return the loss of set k; linear for known distances, whose index is after the last."""
+        """Return the loss of set k; linear for given distances, whose index is after the last."""
         return self.loss if k < len(self.sets) else "linear"
 
     def parts(self, v: Array) -> Iterable[_Part]:
@@ -479,7 +479,7 @@ class LeastSquares:
         yield from self._separated(v)
 
     def _separated(self, v: Array) -> Iterator[_Part]:
-        """Yield the one part of known distances between touched points, if there are any."""
+        """Yield the one part of given distances between touched points, if there are any."""
         if any(m.separations for m in self.sets):
             w = ca.MX.sym("v", self.size)
             r_s = self._separations(ca.reshape(w[len(self.names) :], 3, len(self.labels)))
@@ -506,7 +506,7 @@ class LeastSquares:
         return whole.reshape(-1, self.size)
 
     def _separations(self, u: ca.MX) -> ca.MX:
-        """Return the residuals of known distances between touched points, shape (s,), in sigmas.
+        """Return the residuals of given distances between touched points, shape (s,), in sigmas.
 
         u : variables of all unknown points, shape (3, K) [mm]
         """

@@ -35,7 +35,7 @@ MAX_COMPARED_HARMONIC = 2
 MAX_FITTED_HARMONIC = 6
 # Singular values of the Jacobian by the unknown points below this share of the largest one count as
 # zero: the poses do not determine such a direction of the points.
-MIN_POINT_SINGULAR_SHARE = 1e-9
+MIN_SINGULAR_VALUE_RATIO = 1e-9
 # Grid of the ratio of a joint's repeatability [rad] to the noise of a measured coordinate [m].
 REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
 # Residuals and Jacobians are cached for up to this number of poses; those of larger sets are
@@ -161,7 +161,7 @@ def wide_fit(found: Identification, max_cached: int = MAX_CACHED_POSES) -> WideF
     """Return the fit of all uncertain parameters and harmonics to an identification's used poses.
 
     max_cached : maximum number of poses whose residuals and Jacobians are cached
-    Raises InputError for known distances between touched points.
+    Raises InputError for given distances between touched points.
     """
     robot = with_joint_harmonics(found.robot, MAX_FITTED_HARMONIC)
     doubts = uncertain_parameters_of(robot, found.names)
@@ -189,7 +189,7 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
     Where points are unknown, all poses come at once, for several of them may share a point.
 
     robot : calibrated, with joint harmonics; names : parameters by which Jacobians are taken
-    Raises InputError for known distances between touched points.
+    Raises InputError for given distances between touched points.
     """
     sets = [m.positions_alone() if m.kind == "position_covariance" else m for m in found.used]
     if any(m.separations for m in sets):
@@ -232,7 +232,7 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     if not U.shape[2]:
         return r, J, 0.0
     Q, seen, _ = np.linalg.svd(U.reshape(-1, U.shape[2]), full_matrices=False)
-    Q, seen = Q[:, seen > MIN_POINT_SINGULAR_SHARE * seen[0]], seen[seen > MIN_POINT_SINGULAR_SHARE * seen[0]]
+    Q, seen = Q[:, seen > MIN_SINGULAR_VALUE_RATIO * seen[0]], seen[seen > MIN_SINGULAR_VALUE_RATIO * seen[0]]
     both = np.concatenate([r[:, :, None], J], axis=2)
     flat = both.reshape(-1, both.shape[2])
     both = (flat - Q @ (Q.T @ flat)).reshape(both.shape)

@@ -34,7 +34,7 @@ class Readings:
     """Flange poses and the measured positions or distances of the tool point at them.
 
     p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
-    seen : measured positions in the measuring frame, shape (n, 3) [m], or distances to known
+    seen : measured positions in the measuring frame, shape (n, 3) [m], or distances to given
         places, shape (n,) [m]
     places : these places in the measuring frame, shape (n, 3) [m]; None for positions
     """
@@ -206,8 +206,8 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
     rotation, then refined by Kabsch's method and t in turns. With several tools, base and tool are
     placed by the one that was measured most, then the others given the base. Where the poses
     determine the base's rotation or the tool badly (lines, one orientation, few poses), the robot
-    file is a prior; likewise with distances to known points. Other kinds do not carry this
-    information; they, and robots whose base is known or is row 1 of the table, are returned
+    file is a prior; likewise with distances to given points. Other kinds do not carry this
+    information; they, and robots whose base is given or is row 1 of the table, are returned
     unchanged. Source: Kabsch (1976) for the rotation.
     """
     sets = (m,) if isinstance(m, Measurements) else tuple(m)
@@ -247,7 +247,7 @@ def _placed(
 
     p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
     y : measured positions in the measuring frame, shape (n, 3) [m]
-    known : fixed tool position in the flange frame, shape (3,) [m]; None: it is found
+    tool_position : fixed tool position in the flange frame, shape (3,) [m]; None: it is found
     T_M0, t : initial base frame (4, 4) and tool position (3,) [m]
     """
     file = robot.tool.T[:3, 3]
@@ -265,7 +265,7 @@ def _placed(
 
 
 def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Return the robot with base and tool frames that fit distances to known points.
+    """Return the robot with base and tool frames that fit distances to given points.
 
     Without such distances the tool is fitted to unknown places (`_by_unknown_places`). Robots with
     several tools, and with fewer than MIN_START_READINGS distances, are returned unchanged.

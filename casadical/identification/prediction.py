@@ -43,7 +43,7 @@ def covariance_of_all(
 ) -> tuple[LeastSquares, Array, Array]:
     """Return problem, departures (k,) and covariance (k, k) [SI] of all uncertain parameters.
 
-    These are all k parameters that are not known exactly, identified or not. The problem is the
+    These are all k parameters that are uncertain, identified or not. The problem is the
     solved one with their names, which give the order; departures are from nominal in units of
     scale.
 

@@ -1,6 +1,6 @@
 """Solving an identification problem: choice of parameters, estimation of noise, and outliers.
 
-Parameters that the measurements do not determine better than their prior are left out.
+Parameters that the measurements do not determine better than their prior are omitted.
 """
 
 from collections.abc import Collection, Sequence
@@ -13,7 +13,7 @@ from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
 from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.identifiability import (
-    MAX_INVISIBLE_SHARE,
+    MAX_INVISIBLE_LENGTH_RATIO,
     NO_EFFECT_REASON,
     Identifiability,
     Unidentifiable,
@@ -42,7 +42,7 @@ MIN_REDUNDANCY = 0.1
 # Minimum number of degrees of freedom from which the noise is estimated; a correlated prior may
 # explain nearly all residuals and leave fewer.
 MIN_NOISE_FREEDOM = 10.0
-# Maximum number of rounds in which outliers are left out and the problem is solved again.
+# Maximum number of rounds in which outliers are excluded and the problem is solved again.
 MAX_OUTLIER_ROUNDS = 8
 # Maximum number of rounds in which the noise sigmas are estimated and the problem is solved again.
 MAX_SIGMA_ROUNDS = 6
@@ -196,7 +196,7 @@ def solve_by_auto(
 
     Returns what `reduce_and_solve` returns, and the outliers as (set, pose) indices.
 
-    rounds : maximum number of rounds in which outliers are left out
+    rounds : maximum number of rounds in which outliers are excluded
     """
     try:
         plain = _solve_with_sigmas(problem, progress, {})
@@ -270,7 +270,7 @@ def _outliers(r: Array, freedom: Array, share: float = 1.0) -> Array:
 def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     """Return for each set the indices of the poses whose residuals are no larger than noise.
 
-    Poses that were left out are tested too: as they have no part in the solution, their residuals
+    Poses that were excluded are tested too: as they have no part in the solution, their residuals
     are their full errors.
 
     problem : with all poses; solved : of a part of these poses
@@ -397,7 +397,7 @@ def _with_visible(
     wider, at = _with_added_parameters(problem, v, hidden, order)
     seen = np.sqrt(np.diag(wider.information(at))[: len(wider.names)])
     visible = {
-        n for n, length in zip(wider.names, seen, strict=True) if length > MAX_INVISIBLE_SHARE * seen.max()
+        n for n, length in zip(wider.names, seen, strict=True) if length > MAX_INVISIBLE_LENGTH_RATIO * seen.max()
     } & hidden
     if not visible:
         return None

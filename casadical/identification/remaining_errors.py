@@ -40,7 +40,7 @@ _MM = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class UncertainParameters:
-    """Parameters that are not known exactly, identified or not, with their priors.
+    """Parameters that are uncertain, identified or not, with their priors.
 
     names : of the k parameters
     sigma : prior standard deviation of each in units of its scale, shape (k,)

@@ -205,8 +205,7 @@ class Block:
     def residuals(self, x: Array, u: Array) -> Iterator[Array]:
         """Yield the residuals of some poses at a time, shape (n, m), in units of sigma.
 
-        Compiled code of residual and Jacobian is faster than CasADi's interpreter for the residual
-        alone.
+        Compiled code of both is faster than CasADi's interpreter for the residual alone.
 
         x, u : as of `evaluate`
         """

@@ -48,7 +48,7 @@ PRIOR_ONLY_REASON = "as the prior has it; these poses tell no more of it"
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A pose that was left out as an outlier.
+    """A pose that was excluded as an outlier.
 
     source : its table; row : its row there; error : position error of the calibrated model at it
         [m]
@@ -119,7 +119,7 @@ class Identification(Result):
     solution : point at which the solver stopped
     variance : of a residual, in units of the problem's sigmas squared
     degrees_of_freedom : number of residuals and informative priors minus the number of variables
-    outliers : (set, pose) indices of poses that a robust loss left out
+    outliers : (set, pose) indices of poses that a robust loss excluded
     tried : whether the data support a compliance that the robot file does not declare
     departure : how far the geometry departs from nominal, where the fit chose its own prior
 
@@ -296,7 +296,7 @@ class Identification(Result):
                     slope = (residual_mm(self.robot, replace(moved, q=moved.q + step))[0] - r) / 1e-6
                     moved = replace(moved, q=moved.q - 1e6 * step * (slope @ r) / max(slope @ slope, 1e-12))
                 remaining[f"q{j + 1}"] = float((residual_mm(self.robot, moved)[0] ** 2).sum())
-            # Two coordinates are left over, which noise alone makes larger once in a thousand.
+            # Two coordinates remain, which noise alone makes larger once in a thousand.
             enough = [name for name, rest in remaining.items() if rest < chdtri(2, 1e-3) * (1e3 * sigma) ** 2]
             columns[i] = enough[0] if len(enough) == 1 else ""
         return [LeftOut(m.source, int(m.row[i]), float(e[i]), columns[i]) for i in poses]
@@ -533,7 +533,7 @@ class Identification(Result):
 def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
     """Return covariance and ranges of validity of the calibrated values of an identification.
 
-    Parameters that were not identified have what was known before. Readings, logged columns and
+    Parameters that were not identified have their earlier knowledge. Readings, logged columns and
     campaign are those of these measurements, but those of `before` if the robot has effects of
     which no parameter was identified.
 

@@ -136,8 +136,7 @@ def _share_a_pose(a: Array, b: Array, within: float = 5e-4) -> bool:
 def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
     """Return poses of the first set that has measured positions in these sessions.
 
-    inside : False takes the poses that are in none of the sessions. None where there are no such
-    poses.
+    inside : False takes the poses that are in none of the sessions. None without any.
     """
     for m in (m for m in sets if m.position is not None):
         flags = sum((m.conditions.get(e.column, np.zeros(len(m))) for e in sessions), np.zeros(len(m)))

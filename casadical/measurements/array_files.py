@@ -186,6 +186,7 @@ def _list(cell: Any) -> Array | None:
 
 
 def _number(text: str) -> float | None:
+    """Return the number that a text writes, None for other texts."""
     try:
         return float(text)
     except ValueError:

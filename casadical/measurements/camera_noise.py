@@ -16,7 +16,7 @@ from casadical.core.reporting.plain import WRITTEN
 from casadical.core.reporting.result import Shown
 from casadical.measurements.corners import CameraErrors, Images
 
-# Where a camera is: on the robot ("in hand") or fixed ("to base"); empty where it is not known.
+# Where a camera is: on the robot ("in hand") or fixed ("to base"); empty where it is unknown.
 Camera = Literal["", "in hand", "to base"]
 # Columns of the whitened residual of a pose with one standard deviation: two lateral, depth, two tilts, roll.
 COMPONENTS = (slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6))
@@ -70,7 +70,7 @@ class View(NamedTuple):
 
 
 def crossing(a: Array) -> Array:
-    """Return the matrices, shape (n, 3, 3), with which the vectors a, shape (n, 3), are crossed with others."""
+    """Return matrices M, shape (n, 3, 3), with M b = a x b for vectors a, shape (n, 3)."""
     zero = np.zeros(len(a))
     x, y, z = a.T
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
@@ -105,10 +105,10 @@ def to_camera_axes(view: View) -> Array:
 
 
 def whitening(view: View, noise: CameraNoise) -> Array:
-    """Return the matrices, shape (n, 6, 6), that make the residuals of kind pose a camera's, of equal sigmas.
+    """Return the matrices, (n, 6, 6), that whiten residuals of kind pose by a camera's noise.
 
-    Three lengths and three angles along the line of sight's axes follow, in the order of `COMPONENTS`. Of corners in
-    images, the sum of their squares in units of the noise is that of the reprojection errors.
+    The result is three lengths and three angles along the axes of the line of sight (`COMPONENTS`), of one sigma each
+    for lengths and angles. With corners in images, their weighted square sum is that of the reprojection errors.
     """
     W = to_camera_axes(view)
     W[:, :3] -= crossing(view.R @ np.array(noise.point)) @ W[:, 3:]
@@ -120,10 +120,9 @@ def whitening(view: View, noise: CameraNoise) -> Array:
 
 
 def moved_by_errors(view: View, point: Array) -> Array:
-    """Return how the target's poses in the camera are moved by errors of the camera, shape (n, 6, 4) [m and rad].
+    """Return derivatives of the target's poses by `CameraErrors`, shape (n, 6, 4) [m, rad].
 
-    The columns are by `CameraErrors` of one; without corners in images, point is what the target's board has in its
-    middle, shape (3,) [m].
+    point : middle of the board in its own frame, shape (3,) [m]; not used with corners in images
     """
     t, R, _, images = view
     if images is not None:
@@ -146,7 +145,7 @@ def moved_by_errors(view: View, point: Array) -> Array:
 
 
 def without_errors(view: View, errors: CameraErrors, point: Array) -> View:
-    """Return what a camera without these errors would have seen; point : as of `moved_by_errors`."""
+    """Return the view of a camera without these errors; point : as of `moved_by_errors`."""
     from scipy.spatial.transform import Rotation
 
     if view.images is not None:
@@ -161,9 +160,9 @@ def without_errors(view: View, errors: CameraErrors, point: Array) -> View:
 
 
 def spread_of_place(view: View, noise: CameraNoise) -> Array:
-    """Return the matrices, shape (n, 3, 3), that turn three whitened lengths into errors of the point's place.
+    """Return roots S of the covariances of the target point's positions, shape (n, 3, 3).
 
-    They are in the unit of the lengths' sigma; the axes are those of the camera or of the line of sight.
+    Unit: sigma of lengths; axes: the line of sight, with corners in images the camera.
     """
     if view.images is not None:
         return _spread_of_pixels(view, view.images, noise)[:, :3, :3] / noise.pixel[0]
@@ -171,14 +170,14 @@ def spread_of_place(view: View, noise: CameraNoise) -> Array:
 
 
 def _spread_of_pixels(view: View, images: Images, noise: CameraNoise) -> Array:
-    """Return lower triangular roots, (n, 6, 6), of the covariances of place and rotation by pixels that err by one."""
+    """Return roots, (n, 6, 6), of the covariances of position and rotation for 1 px of noise."""
     root = np.linalg.inv(images.root)
     root[:, :3] -= crossing(view.R @ np.array(noise.point)) @ root[:, 3:]
     return np.linalg.cholesky(root @ root.transpose(0, 2, 1))
 
 
 def initial_noise(view: View) -> CameraNoise:
-    """Return the noise from which a calibration starts: all ratios one, or as the corners in images have them."""
+    """Return the initial noise: all ratios are one, or follow from corners in images."""
     if view.images is None:
         return CameraNoise()
     noise = CameraNoise(point=tuple(view.images.middle))
@@ -195,7 +194,7 @@ def initial_noise(view: View) -> CameraNoise:
 def refined(
     view: View, noise: CameraNoise, r: Array, freedom: Array, sigmas: tuple[float, float]
 ) -> tuple[CameraNoise, tuple[float, float]]:
-    """Return the noise that whitened residuals show, and the sigmas of lengths [m] and angles [rad].
+    """Return the noise by whitened residuals, and sigmas of lengths [m] and angles [rad].
 
     The components' variances are residual squares over redundancies (restricted maximum likelihood;
     Foerstner 1979); exponents of the distance are the most probable of a grid, those of a prior 1 +- 1.

@@ -140,7 +140,7 @@ class Columns:
     row : line of the file at which each row stands, shape (n,)
     empty : headings of columns without any cell, which are dropped
     taken : headings of columns from which others were computed
-    left_out : lines of the file that the user left out
+    left_out : lines of the file that the user excluded
     corners : corners in the image of each row's station, shape (n, N, 6) (see `corners.Images`); None: without images
 
     Examples
@@ -200,7 +200,7 @@ class Columns:
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """Return the columns under casadical's names, where the table's headings differ from them.
 
-        Rows for which a shift of rows gives no value are left out.
+        Rows for which a shift of rows gives no value are omitted.
 
         columns : casadical's name -> name in the table, or how it is computed from its columns
         point_from : columns whose words, joined by "/", name the touched point

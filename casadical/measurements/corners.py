@@ -57,7 +57,7 @@ class Images(NamedTuple):
         return np.asarray(self.corners[self.seen][:, 2:5].mean(axis=0))
 
     def corrected(self, errors: CameraErrors) -> Images:
-        """Return the same images with the errors of camera and board taken off what is given."""
+        """Return the corners with intrinsics and board coordinates corrected for errors."""
         corners, intrinsics, root = self.corners.copy(), self.intrinsics.copy(), self.root
         corners[:, :, 2:5] /= 1 + errors.board
         intrinsics[:, :2] /= 1 + errors.focal
@@ -101,7 +101,7 @@ class Images(NamedTuple):
         return r.reshape(len(T), -1), J.reshape(len(T), -1, 10)
 
     def posed(self) -> tuple[Array, Images]:
-        """Return the poses of the board in the camera of least reprojection error, (n, 4, 4) [m], and their root.
+        """Return the board's poses of least reprojection error, (n, 4, 4) [m], and their images.
 
         They start from a homography, and from its mirror image about the line of sight (Schweighofer and Pinz 2006).
         """

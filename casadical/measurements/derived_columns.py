@@ -186,7 +186,7 @@ def _memory(q: Array, travel: float) -> Array:
     """Return the hysteresis state of one joint at each pose, shape (n,), -1 to 1.
 
     It approaches the direction of each motion exponentially, and begins at zero, because the
-    motion before the first pose is not known.
+    motion before the first pose is unknown.
 
     q : readings of the joint in the order of measuring, shape (n,) [rad or m]
     travel : path over which the distance from the direction falls to 1/e [rad or m]

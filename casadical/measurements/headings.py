@@ -100,7 +100,7 @@ class Understanding:
     def answered(self, question: Question, choice: str, why: str = "") -> "Understanding":
         """Return the understanding with one question answered by one of its choices.
 
-        why : how the answer is known; by default as the columns of the choice say
+        why : how the answer was found; by default as the columns of the choice say
         """
         chosen = (replace(c, why=why or c.why) for c in question.choices[choice])
         return Understanding((*self.columns, *chosen), tuple(q for q in self.questions if q is not question))
@@ -115,7 +115,7 @@ class Heading:
     slot : part of the quantity (number of a joint, axis, entry of a matrix)
     qualifier : measured, nominal or empty
     unit : word of the unit, or empty
-    rest : words without a known meaning, which tell groups of columns apart
+    rest : words without a recognised meaning, which tell groups of columns apart
     values : cells as numbers, shape (n,)
     led : kind of a joint, and of its leader kind, factor of the reading and offset, as of `Joint`
     numbers : numbers in the heading of a position
@@ -212,7 +212,7 @@ def understand(
         taken = {*given, *(name for way in ways for c in way for name in (c.source.name, *c.source.add))}
         unused = [h for h in headings if h.name not in taken]
         decide(*_orientation(unused, raw, taken))
-    if seen and not without_readings:  # beside our own names, only headings with a unit count
+    if seen and not without_readings:  # with our own names, only headings with a unit count
         headings = [h for h in headings if h.unit]
     columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours), *_approaches(raw, ours)]
     if not raw.form.header_line:
@@ -298,7 +298,7 @@ def words_of(heading: str) -> tuple[list[str], str]:
 
 
 def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[Heading]:
-    """Return the headings that have a known meaning, taken apart."""
+    """Return the headings that have a recognised meaning, taken apart."""
     below = [*raw.form.units, *([""] * len(raw.header))]
     named = [(words_of(joint.name)[0], str(i)) for i, joint in enumerate(chain, 1) if joint.name]
     leaders = [(words_of(joint.leader[0])[0], str(i)) for i, joint in enumerate(chain, 1) if joint.leader]
@@ -419,9 +419,9 @@ def position_groups(raw: RawTable) -> list[list[Heading]]:
         groups.setdefault(key, {}).setdefault(h.slot, replace(h, numbers=numbers))
     whole = [[g[c] for c in _XYZ] for g in groups.values() if all(c in g for c in _XYZ)]
     measured = [g for g in whole if g[0].qualifier != "nominal"]
-    # The markers of a rigid body are no targets beside the body itself.
+    # The markers of a rigid body are no targets where the body itself is one.
     measured = [g for g in measured if "marker" not in words_of(g[0].name)[0]] or measured
-    # Only beside other points is a "target" a commanded one; else it is a reflector.
+    # A "target" is a commanded point only where there are other points; else it is a reflector.
     targets = [g for g in whole if not {*words_of(g[0].name)[0]} & (WORDS["nominal"] - WORDS["target"])]
     return measured or targets or ([] if _frames(raw) else _grid_points(raw))
 
@@ -489,7 +489,7 @@ def _joints(
     present; of equal ones those whose headings are plain and of the preferred qualifier.
 
     n : number of joints; free : numbers of those that need a reading, as they follow no other
-    own : numbers of joints with readings under casadical's own names, which are left out; with any,
+    own : numbers of joints with readings under casadical's own names, which are omitted; with any,
         only headings that are names of joints count for the others
     order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
@@ -508,7 +508,7 @@ def _joints(
         # row counter.
         first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
         group = {i: members[i + first - 1] for i in range(1, n + 1) if i + first - 1 in members}
-        if own:  # beside our own names, only the names of joints count
+        if own:  # together with our own names, only the names of joints count
             group = {i: h for i, h in group.items() if i not in own and "by name" in rest}
         elif [*group] == [*range(1, len(free) + 1)]:  # without the joints that follow others
             group = dict(zip(free, group.values(), strict=True))
@@ -735,7 +735,7 @@ def _by_unit(
 ) -> list[tuple[str, list[Understood]]]:
     """Return (unit, columns under casadical's names) of possible units, the most probable first.
 
-    There is one entry, with an empty unit, where the unit is known or the quantity has none.
+    There is one entry, with an empty unit, where the unit is stated or the quantity has none.
 
     members, names : headings and casadical's names, without units; quantity : "angle", "length" or
         empty; stated : quantity -> unit that a comment states

@@ -209,7 +209,7 @@ class Measurements(Shown):
     def inverse(self) -> Measurements:
         """Return the same measurements with each pose inverted: the measuring frame in the tool's.
 
-        They must have positions and orientations; `inverted` is negated, and no noise of a camera kept.
+        They must have positions and orientations; `inverted` is negated, a camera's noise dropped.
         """
         assert self.position is not None
         assert self.orientation is not None
@@ -232,9 +232,9 @@ class Measurements(Shown):
         """Return the poses as a camera without these errors has them; point : middle of the board, shape (3,) [m]."""
         seen = without_errors(self.view, errors, point)
         images = {} if seen.images is None else seen.images._asdict()
-        held = self.inverse() if self.camera == "in hand" else self
-        held = replace(held, position=seen.t, orientation=seen.R, extra={**self.extra, **images}, noise=None)
-        return held.inverse() if self.camera == "in hand" else held
+        poses = self.inverse() if self.camera == "in hand" else self
+        poses = replace(poses, position=seen.t, orientation=seen.R, extra={**self.extra, **images}, noise=None)
+        return poses.inverse() if self.camera == "in hand" else poses
 
     @property
     def copies_in_words(self) -> str:
@@ -281,10 +281,9 @@ class Measurements(Shown):
 
         sizes : of each set: below 1 a share of the poses, from 1 on their number
 
-
         Poses at the same joint readings (replicates, several targets at one stop) stay together, so
         that no pose is ever in two sets; a set may hold some more or less than its size for that. A
-        pair distance whose ends fall in two sets is left out; poses of one contact point may fall
+        pair distance whose ends fall in two sets is omitted; poses of one contact point may fall
         in two.
 
         Raises InputError: impossible sizes.

@@ -69,7 +69,7 @@ class Form:
 def decoded(data: bytes) -> tuple[str, str]:
     """Return the text of a file and its encoding. Raises UnicodeDecodeError: no encoding fits.
 
-    A text that is not Unicode is read in the encoding that finds most known words of headings.
+    A text that is not Unicode is read in the encoding that finds most recognised words of headings.
     charset-normalizer is not used: it takes "q1 [°]" in cp1252 for big5, because it needs longer
     texts.
     """

@@ -15,17 +15,17 @@ UNITS: Mapping[str, tuple[str, float]] = {
 # Role in a heading, such as joint, filler, measured, nominal or time -> words with this role.
 WORDS: Mapping[str, frozenset[str]] = {kind: frozenset(words.split()) for kind, words in _FILE["words"].items()}
 
-# All known words that are not ASCII, the longest first.
+# All words of the vocabulary that are not ASCII, the longest first.
 _NON_ASCII_WORDS = sorted(
     (w for w in {*UNITS, *frozenset().union(*WORDS.values())} if not w.isascii()), key=len, reverse=True
 )
-# Pattern that splits text of scripts without blanks (Chinese, Japanese) into known words, the
+# Pattern that splits text of scripts without blanks (Chinese, Japanese) into its words, the
 # longest first.
 UNSPACED = re.compile("|".join(re.escape(w) for w in _NON_ASCII_WORDS if ord(w[0]) > 0x2E7F))
 
 
 def hits(text: str) -> int:
-    """Return the number of letters of a text that belong to known words that are not ASCII.
+    """Return the number of letters of a text in words of the vocabulary that are not ASCII.
 
     Of several decodings of one text, the correct one has the most.
     """

@@ -42,7 +42,7 @@ class CameraStations(Result):
     """Stations at which a camera sees its target, in an order with short travel.
 
     robot : calibrated on the stations so far; q : readings, shape (n, joints) [rad or m]
-    source : what the view is known from, in words
+    source : origin of the view, in words
     visible : what the stations so far show of the camera's view: distances [m], largest angles off its axis and
         between line of sight and board's normal [rad]
     forecast : a row for each number of stations, with expected errors of the target's place (rms over the candidates)
@@ -84,7 +84,7 @@ def camera_stations(
 ) -> CameraStations:
     """Return n stations for a new calibration of an arm and its camera.
 
-    found : calibration of the stations so far, which tell the view, the noise, and the frames; workspace : where poses
+    found : calibration of the stations so far, from which view, noise and frames follow; workspace : where poses
         may lie, None: the robot's limits; view : None: as the stations so far show it
     Raises InputError where no camera measured full poses, or too few stations are visible.
     """
@@ -134,7 +134,7 @@ def camera_stations(
 
 
 def read_view(text: str) -> View:
-    """Return the view that four numbers tell: distances [m], angles [deg]. Raises InputError for others."""
+    """Return the view of a text NEAR,FAR,OFF,OBLIQUE [m, m, deg, deg]. Raises InputError."""
     try:
         near, far, off, oblique = (float(number) for number in text.split(","))
     except ValueError:
@@ -183,7 +183,7 @@ def _visible(m: Measurements, view: View) -> Array:
 
 
 def _exact(robot: Robot, q: Array, camera: Camera, noise: CameraNoise) -> Measurements:
-    """Return the poses that the robot's model has at readings q, with a camera and its noise."""
+    """Return the model's poses at readings q without noise, marked as a camera's with `noise`."""
     p, R = predicted(robot, unmeasured(q))
     return Measurements(q, "pose", position=p, orientation=R, camera=camera, noise=noise)
 

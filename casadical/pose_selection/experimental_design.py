@@ -16,10 +16,10 @@ from casadical.core.statistics import first_of_best
 
 # Information added to each parameter, divided by its mean information from one candidate; it keeps
 # the information matrix of few poses invertible.
-RIDGE_SHARE = 1e-10
+RIDGE_OF_MEAN_INFORMATION = 1e-10
 # Smallest ratio of the information's determinants without and with a pose at which the pose may be
 # removed. Rounding decides how far below an indispensable pose is, so that all are equal.
-MIN_DETERMINANT_SHARE = 1e-6
+MIN_DETERMINANT_RATIO = 1e-6
 
 
 class Design:
@@ -44,7 +44,7 @@ class Design:
         self.N, self.m, self.p = rows.shape
         flat = rows.reshape(-1, self.p)
         whole = flat.T @ flat + fixed
-        self.fixed = fixed + RIDGE_SHARE * np.diag(np.diag(whole)) / self.N
+        self.fixed = fixed + RIDGE_OF_MEAN_INFORMATION * np.diag(np.diag(whole)) / self.N
         self.places, self.apart = places, max(apart, 1e-9) if apart >= 0 else apart
         self._taken = sum((self._near(place) for place in occupied), np.zeros(self.N, dtype=int))
         self.start([])
@@ -106,7 +106,7 @@ class Design:
         determined = np.diag(self.M) > 0
         root = np.sqrt(np.diag(self.M)[determined])
         least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
-        # Singular sets have eigenvalues below 1e-11, from RIDGE_SHARE: their variances are
+        # Singular sets have eigenvalues below 1e-11, from RIDGE_OF_MEAN_INFORMATION: their variances are
         # meaningless.
         return bool(least > 1e-9)
 
@@ -161,8 +161,8 @@ class Design:
         small = np.eye(self.m) + sign * self.D[which]
         if not self.regular:
             signs, logs = np.linalg.slogdet(small)
-            return np.where((signs > 0) & (logs > np.log(MIN_DETERMINANT_SHARE)), logs, -np.inf)
-        regular = np.linalg.det(small) > MIN_DETERMINANT_SHARE
+            return np.where((signs > 0) & (logs > np.log(MIN_DETERMINANT_RATIO)), logs, -np.inf)
+        regular = np.linalg.det(small) > MIN_DETERMINANT_RATIO
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         return np.where(regular, change, -np.inf)

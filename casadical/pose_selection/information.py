@@ -82,7 +82,7 @@ def independent(
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
     """Return the parameters that an identification from such poses would keep, and the others.
 
-    The others have their reasons. Dependent parameters are left out first, then, one by one, those
+    The others have their reasons. Dependent parameters are omitted first, then, one by one, those
     that the data would determine less accurately than their own priors (as in
     `reduction.reduce_and_solve`). With the prior of another campaign, which constrains them, the
     second step is omitted.

@@ -57,7 +57,7 @@ class Instrument:
         """Return the noise-free measurements of this instrument at poses m with model positions.
 
         There is one set of distances per wire, or one set of contacts for all sockets, which has
-        one known distance between two sockets.
+        one given distance between two sockets.
         """
         assert m.position is not None
         if self.kind == "sockets":
@@ -115,8 +115,8 @@ class Instrument:
     def before(self, size: int, noise: Noise) -> Array:
         """Return the information matrix without any pose, shape (size, size).
 
-        It is that of one known distance between the two sockets farthest apart, per squared
-        `POINT_SCALE`; for wires and known places it is zero.
+        It is that of one given distance between the two sockets farthest apart, per squared
+        `POINT_SCALE`; for wires and measured places it is zero.
 
         size : number of all variables, the places' coordinates at the end
         noise : its sigma is that of the distance

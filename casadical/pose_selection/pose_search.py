@@ -66,7 +66,7 @@ def select_poses(
     min_distance : smallest distance between any two poses, in the joint that differs most, as a
         fraction of its range; None: a pose may be chosen more than once
     pool : number of candidates to draw
-    restarts : number of searches from different random starts, of which the best result is kept
+    restarts : number of searches from different random starts, of which the best result is taken
     seed : seed of the random generator
     instrument : what is measured in place of positions: distances to anchors, or the tool in
         sockets; `noise.sigma` is then the instrument's; None: positions
@@ -271,7 +271,7 @@ def place_instrument(
 ) -> Instrument:
     """Return the instrument at those of the places from which readings determine the robot best.
 
-    robot : robot with base and tool as far as they are known
+    robot : robot with approximate base and tool frames
     kind : as of `Instrument`
     places : candidates for the places, in the measuring frame, shape (K, 3) [m]
     count : required number of places

@@ -149,9 +149,8 @@ def calibration_figures(
     where : localisation of the residual, as of `residual_localisation`
 
     The figures are errors/SET and distribution/SET for each set of poses; workspace;
-    image, of a camera's poses; where/TABLE as
-    `where_figures` names them (of measured positions); parameters/lengths, /angles, /compliance;
-    fit/residuals, /coverage, /pairs; training.
+    image, of a camera's poses; where/TABLE, of measured positions (see `where_figures`);
+    parameters/lengths, /angles, /compliance; fit/residuals, /coverage, /pairs; training.
     """
     last, poses = list(results.values())[-1], pose_errors(problem, results, networks)
     trained = networks.results.values() if networks else ()

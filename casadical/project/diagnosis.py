@@ -346,7 +346,7 @@ def read_logs(
     folder : problem folder or robot file
     tables : files in place of the folder's own
     reference : log of the same robot in health
-    drive : file that declares the drives; None: the robot file, or drive.toml beside it
+    drive : file that declares the drives; None: the robot file, or drive.toml next to it
     effects : effect files, whose causes are candidates in addition to those of the list
     Raises InputError: logs and measured poses together, or what is wrong with robot, drives or
         reference.

@@ -33,7 +33,7 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     error : the error
     paths : problem folders, robot files and tables; joint logs, and tables that take long to read,
         are not checked
-    later : whether rows with a cell that is no number are left out of tables
+    later : whether rows with a cell that is no number are removed from tables
     """
     collected, given = _Collected([error]), list(paths)
     # Files with these endings are tables; all others are robot files or problem folders.
@@ -142,7 +142,7 @@ def _check_given_table(source: Path, table: Path, robot: Robot | None, joints: S
     """Check a given table, interpreted as those of its problem are. Raises InputError.
 
     source : problem folder or robot file; robot : None where it cannot be read
-    joints : kind of each joint; later : whether rows with a cell that is no number are left out
+    joints : kind of each joint; later : whether rows with a cell that is no number are omitted
     """
     raw = read_table(table, keep_text=False)
     try:
@@ -156,7 +156,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
     """Check a table's cells and, with a robot, its readings' ranges. Raises InputError.
 
     data : its [[measurements]]; joints : kind of each joint
-    later : whether rows with a cell that is no number are left out
+    later : whether rows with a cell that is no number are omitted
     """
     if path.is_file() and path.stat().st_size > 4_000_000:  # bytes; reading it again takes too long
         return
@@ -180,7 +180,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
 def _check_ranges(robot: Robot, columns: Columns, kind: str | None) -> None:
     """Check readings against the joint limits. Raises FaultsError.
 
-    Other contradictions to the robot are left to the command itself.
+    Other contradictions to the robot are found by the command itself.
     """
     try:
         check_against(robot, from_columns(columns, [j.kind for j in robot.joints], kind))

@@ -79,7 +79,7 @@ class HandEye(Shown):
 def hand_eye_of(found: Identification, *, nominal: bool = False) -> HandEye | None:
     """Return the hand-eye transform of an identification, or None.
 
-    None where no camera measured poses, or the base was known.
+    None where no camera measured poses, or the base was given.
 
     nominal : whether it is for the nominal arm, with base and tool alone fitted
     """

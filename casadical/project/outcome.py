@@ -95,7 +95,7 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
         # Beside two more columns the label has to fit a line.
         rows = [("before, frames fitted" if turned else "before, base and tool fitted", states["placed"])]
         # Nominal errors this many times larger than those with base and tool fitted only show that
-        # the base was not known.
+        # the base was unknown.
         if states["nominal"].mean < 20 * states["placed"].mean:
             rows.insert(0, ("before, as given", states["nominal"]))
         rows += [(f"after {method}", by_set[name]["calibrated"]) for method, by_set in accuracies.items()]

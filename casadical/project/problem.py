@@ -306,7 +306,7 @@ def read_problem_robot(folder: str | Path) -> Robot:
 def read_campaign_robot(folder: str | Path) -> Robot:
     """Return the robot of a diagnosis: the folder's `campaign_robot`, else its robot; or a file's.
 
-    folder : problem folder, or a robot file (TOML or URDF); a URDF that the problem.toml beside it
+    folder : problem folder, or a robot file (TOML or URDF); a URDF that the problem.toml next to it
         names is read as that says
     Raises InputError: no such file, or what is wrong in it.
 
@@ -367,14 +367,14 @@ def read_campaign(
     it has them.
 
     folder : problem folder, or a robot file, with the tables of its calibration in the result.json
-        beside it; where there is neither, the headings must be casadical's own or understood by
+        next to it; where there is neither, the headings must be casadical's own or understood by
         themselves
     path : table
     robot : robot as of `read_campaign_robot`
     readings_only : whether poses are planned but not measured: every position is zero
     later : whether the table checks a finished calibration: it need not name the measured target,
-        and rows with an empty cell are left out
-    words : whether rows with a word in place of a number are left out, too
+        and rows with an empty cell are omitted
+    words : whether rows with a word in place of a number are omitted, too
     Raises InputError: the table is not usable.
 
     Examples
@@ -410,7 +410,7 @@ def _poses(columns: Columns, joints: Sequence[str], data: DataTable, robot: Robo
 
 
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
-    """Return the known distances between points as (point, point, distance [m])."""
+    """Return the given distances between points as (point, point, distance [m])."""
     return [(s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation]
 
 

@@ -50,7 +50,7 @@ class _Strict(BaseModel):
 
 
 class _Separation(_Strict):
-    """A known distance [mm] between two touched points."""
+    """A given distance [mm] between two touched points."""
 
     between: list[str] = Field(min_length=2, max_length=2)
     distance_mm: float = Field(gt=0)
@@ -120,11 +120,11 @@ class DataTable(_Strict):
     """[[measurements]] of problem.toml: a file with a table, and how it is interpreted.
 
     columns : source of each column, by casadical's name
-    leave_out : rows of the file that are left out
+    leave_out : rows of the file that are omitted
     session : name of the session of all rows
     tools : rows of the file at which each target was measured, by its name
     point_from : columns that together name the touched point
-    separation : known distances between touched points
+    separation : given distances between touched points
     sigma_mm, sigma_deg : one sigma of a coordinate and of an angle
     datasheet_mm : largest error of a point that the data sheet of the instrument states
     inverted : whether poses are those of the measuring frame in the tool; None: as the robot says
@@ -150,7 +150,7 @@ class DataTable(_Strict):
 
     @field_validator("kind")
     @classmethod
-    def _known(cls, kind: str | None) -> str | None:
+    def _registered(cls, kind: str | None) -> str | None:
         """Return the kind of measurement unchanged; refuse one that is not registered."""
         if kind is not None and kind not in kinds():
             raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
@@ -217,7 +217,7 @@ class SetsTable(_Strict):
 
     @model_validator(mode="after")
     def _clear(self) -> SetsTable:
-        """Refuse sizes beside a column, and sizes that are neither a share nor a whole number."""
+        """Refuse sizes next to a column, and those that are no share or whole number."""
         given = self.model_dump(include={*SETS}, exclude_none=True)
         if self.column is not None and given:
             raise FaultError("column", f"it names every pose's set; leave out {', '.join(given)}")
@@ -326,7 +326,7 @@ class Paper(_Strict):
         return {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
 
     @model_validator(mode="after")
-    def _known(self) -> Paper:
+    def _methods(self) -> Paper:
         """Refuse published figures of unknown methods."""
         for table in ("calibration", "validation"):
             for name in getattr(self, table):
@@ -438,7 +438,7 @@ def tables_of(folder: Path) -> Sequence[DataTable]:
 
     [] where there is neither problem.toml nor the JSON file of the results.
 
-    folder : problem folder, or a robot file with the JSON file of its results beside it
+    folder : problem folder, or a robot file with the JSON file of its results next to it
     """
     if (folder / "problem.toml").exists():
         return problem_file(folder).measurements

@@ -334,7 +334,7 @@ def _total(robot: Robot, error: tuple[float, float]) -> float:
 
 
 def _why(choice: str, error: tuple[float, float], other: tuple[float, float] | None) -> str:
-    """Return how a choice is known, by the errors [m, rad] of the best reading and the next one.
+    """Return why a choice is taken, by the errors [m, rad] of the best and the next reading.
 
     choice : beginning of the text
     """

@@ -363,7 +363,7 @@ def with_targets_of_rows(
 
     The target of a row is named by a column; without one it follows from repeated readings, or from
     the positions of the rows relative to each other. The returned robot has the measured targets
-    alone, at their known points or to be estimated. Raises InputError where repeats show several
+    alone, at their given points or to be estimated. Raises InputError where repeats show several
     targets and the nominal model does not distinguish them.
     """
     points_by_name = _points_of(robot)
@@ -422,7 +422,7 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
 
 
 def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
-    """Yield initial assignments of rows to targets, shape (n,): by known targets, then by distance.
+    """Yield initial assignments of rows to targets, shape (n,): by given targets, then by distance.
 
     The latter have two targets and more, around rows that are far from the others.
 
@@ -441,7 +441,7 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
 
 
 def _by_distances_to_points(placed: Robot, points: Array, m: Measurements) -> Array:
-    """Return the index of the known point that was measured in each row, shape (n,).
+    """Return the index of the given point that was measured in each row, shape (n,).
 
     points : in the last link's frame, shape (K, 3) [m]
 
@@ -495,7 +495,7 @@ def _with_targets(free: Robot, which: Array) -> Robot:
 
 
 def _names_of(points: Array, robot: Robot) -> list[str]:
-    """Return the names of known targets with the same mutual distances, else target1, ...
+    """Return the names of given targets with the same mutual distances, else target1, ...
 
     points : in the last link's frame, shape (K, 3) [m]
     """

@@ -137,10 +137,10 @@ def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
 
     p, z : point [m] and unit direction of that axis in the row's frame, shape (3,) each
     """
-    foot = p - (p[2] / z[2]) * z
-    a = np.hypot(foot[0], foot[1])
+    meeting = p - (p[2] / z[2]) * z
+    a = np.hypot(meeting[0], meeting[1])
     # Axes closer than 1e-12 m have no direction between them.
-    theta = np.arctan2(foot[1], foot[0]) if a > 1e-12 else 0.0
+    theta = np.arctan2(meeting[1], meeting[0]) if a > 1e-12 else 0.0
     c, s = np.cos(theta), np.sin(theta)
     beta = np.arcsin(c * z[0] + s * z[1])
     alpha = np.arctan2(s * z[0] - c * z[1], z[2])

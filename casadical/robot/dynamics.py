@@ -75,9 +75,9 @@ class Dynamics:
     @cached_property
     def gravity(self) -> Array:
         """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
-        foot = base_frame(self.robot, dict.fromkeys(self.robot.parameters.names, 0.0), ca.DM(self.robot.base.T))
+        T_M0 = base_frame(self.robot, dict.fromkeys(self.robot.parameters.names, 0.0), ca.DM(self.robot.base.T))
         frame = self.robot.gravity_frame
-        vector = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, foot, {})).full()
+        vector = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, T_M0, {})).full()
         return np.asarray(vector).ravel()
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:

@@ -222,7 +222,7 @@ def expressions(structure: Structure, fixed_loads: bool) -> Expressions:
     """Return the expressions of a structure, composed once for all robots that share it.
 
     fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last
-        link also carries its load farther out; the masses are not known well enough to distinguish
+        link also carries its load farther out; the masses are too uncertain to distinguish
         the link from the tool by that.
     """
     arm, effects, names = structure.arm, structure.effects, structure.parameters.names
@@ -256,7 +256,7 @@ def rigid_context(
     values: Mapping[str, Symbolic],
     base: Symbolic,
 ) -> Context:
-    """Return the context of effects with the link frames of rigid joints, before torques are known.
+    """Return the context of effects with link frames of rigid joints, without torques.
 
     torque_scale : peak gravity torque of each joint, shape (n,) [N m or N]
     q : readings; conditions : logged column -> symbol; values : parameter -> symbol [SI]

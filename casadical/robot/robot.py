@@ -194,7 +194,7 @@ def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[
 
 # Lower limit of a joint's peak gravity torque, as a share of the largest one of all joints of its
 # kind; and of the largest one, as a share of the moved weight (times the reach, if revolute).
-MIN_TORQUE_SHARE = 0.05
+MIN_TORQUE_OF_LARGEST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,7 +294,7 @@ class Robot(Shown, Arm):
     def shown(self) -> tuple[str, ...]:
         """Return the names of the parameters that tables show.
 
-        Effects with a `summary` in place of their parameters are left out.
+        Effects with a `summary` in place of their parameters are omitted.
         """
         many = {effect.label for effect in self.effects if effect.summary}
         return tuple(p.name for p in self.parameters if p.group not in many)
@@ -317,14 +317,14 @@ class Robot(Shown, Arm):
             if kind.any():
                 loads = [*(j.body for j in self.joints[kind.argmax() :]), self.payload]
                 weight = float(np.linalg.norm(self.gravity)) * sum(body.mass for body in loads if body)
-                most = max(1e-9, MIN_TORQUE_SHARE * weight * lever, float(np.nanmax(great[kind])))
-                great[kind] = np.maximum(great[kind], MIN_TORQUE_SHARE * most)
+                most = max(1e-9, MIN_TORQUE_OF_LARGEST * weight * lever, float(np.nanmax(great[kind])))
+                great[kind] = np.maximum(great[kind], MIN_TORQUE_OF_LARGEST * most)
         return great
 
     def loads(self, q: Array, conditions: Mapping[str, Array]) -> Array:
         """Return gravity torques at n poses as shares of `torque_scale`, shape (n, joints).
 
-        Effects are left out.
+        Effects are omitted.
 
         q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as
             declared

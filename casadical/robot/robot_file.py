@@ -137,7 +137,7 @@ def to_toml(
     are those of the first one. Without effects and knowledge the file is version 1.
 
     comment, effects, and Raises InputError : as of `write_robot`
-    reproducible : whether digits are left out that depend on a processor's rounding, so that a
+    reproducible : whether digits are omitted that depend on a processor's rounding, so that a
         result is the same file everywhere
     companion : name of the file that has the large covariances; "": the text has them
     """
@@ -238,7 +238,7 @@ def _frame_table(placement: Placement) -> dict[str, Any]:
 
 
 def _body_table(body: Body) -> dict[str, Any]:
-    """Return the table of a body, with the keys mass_kg, com_mm and, if known, inertia_kgm2."""
+    """Return the table of a body, with the keys mass_kg, com_mm and, if declared, inertia_kgm2."""
     table: dict[str, Any] = {"mass_kg": float(body.mass), "com_mm": _mm(body.com)}
     if body.inertia is not None:
         table["inertia_kgm2"] = [float(v) for v in body.inertia[np.triu_indices(3)]]

@@ -12,7 +12,7 @@ from numeric_arm import shift, turn
 from casadical import Body, FourBar, Joint, Placement, Robot
 from casadical.effects import Effect
 from casadical.robot.kinematics import link_frames
-from casadical.robot.robot import MIN_TORQUE_SHARE
+from casadical.robot.robot import MIN_TORQUE_OF_LARGEST
 from casadical.robot.urdf import new_urdf
 
 RIGHT = np.pi / 2
@@ -104,20 +104,20 @@ def test_an_upright_joint_has_the_gear_of_a_twentieth() -> None:
     joints = (Joint(lower=-3, upper=3), Joint(alpha=RIGHT, lower=-3, upper=3, body=Body(4.0, np.array([0.5, 0, 0]))))
     great = Robot("arm", joints, tool=Placement(np.eye(4))).torque_scale
     assert great[1] == pytest.approx(4 * 9.81 * 0.5, rel=0.02)
-    assert great[0] == pytest.approx(MIN_TORQUE_SHARE * great[1])
+    assert great[0] == pytest.approx(MIN_TORQUE_OF_LARGEST * great[1])
     rail = Joint(kind="prismatic", lower=0, upper=1, body=Body(50.0, np.zeros(3)))
     lifted = Robot("lift", (rail, *joints), tool=Placement(np.eye(4))).torque_scale
-    assert lifted[1] == pytest.approx(MIN_TORQUE_SHARE * lifted[2])  # N m and N are not compared
+    assert lifted[1] == pytest.approx(MIN_TORQUE_OF_LARGEST * lifted[2])  # N m and N are not compared
     level = Robot("rail", (replace(rail, alpha=RIGHT), *joints), tool=Placement(np.eye(4))).torque_scale
     assert level[0] == pytest.approx(
-        MIN_TORQUE_SHARE**2 * 54 * 9.81, rel=0.01
+        MIN_TORQUE_OF_LARGEST**2 * 54 * 9.81, rel=0.01
     )  # was 5e-11: round-off over it was a load
     bare = Robot("arm", tuple(replace(j, body=None) for j in joints), tool=Placement(np.eye(4)))
     assert (bare.torque_scale > 0).all()  # something to divide by
     upright = tuple(replace(j, alpha=0.0, a=0.5) for j in joints)
     scara = Robot("scara", upright, tool=Placement(np.eye(4)))
     # Torques of a base that leans by a degree were 1e9 times the great ones: 400 km of a friction's wind-up.
-    assert scara.torque_scale == pytest.approx([MIN_TORQUE_SHARE**2 * 4 * 9.81 * 1.0] * 2, rel=0.01)
+    assert scara.torque_scale == pytest.approx([MIN_TORQUE_OF_LARGEST**2 * 4 * 9.81 * 1.0] * 2, rel=0.01)
 
 
 def nested(theta: tuple[float, float] = (0.0, 0.0)) -> Robot:

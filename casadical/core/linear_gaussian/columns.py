@@ -117,7 +117,7 @@ class Columns:
 
 
 def row_columns(made: Factors, blocks: int, rows: int, directions: Directions = ()) -> Columns:
-    """Return columns whose intermediate variables are the rows themselves."""
+    """Return columns with factors `made` whose intermediate variables are the rows themselves."""
 
     def block(columns: Array | None, some: Array | slice) -> Factors:
         """Return the factors of some columns, or of all if `columns` is None, at some blocks."""
@@ -127,6 +127,7 @@ def row_columns(made: Factors, blocks: int, rows: int, directions: Directions = 
         return made.at(some).only(columns) if isinstance(some, slice) else made.only(columns).at(some)
 
     def levers(some: Array | slice) -> Array:
+        """Return the levers at some blocks, identities of shape (blocks, rows, rows)."""
         return np.broadcast_to(np.eye(rows), (len(np.arange(blocks)[some]), rows, rows))
 
     return Columns((blocks, rows, made.width), block, levers, directions)
@@ -148,6 +149,7 @@ def serial_columns(E: Columns, order: Array, noise: SerialNoise) -> Columns:
     weight = noise.weight.reshape(len(order), -1, 1)
 
     def block(columns: Array | None, some: Array | slice) -> Factors:
+        """Return the factors of some columns for the variables of a block and of the one before."""
         here = np.arange(len(order))[some]
         own = E.factors(order[here], columns)
         if not noise.is_autocorrelated:
@@ -156,6 +158,7 @@ def serial_columns(E: Columns, order: Array, noise: SerialNoise) -> Columns:
         return Factors((*own.blocks, *((s + variables, c, values) for s, c, values in before.blocks)), own.width)
 
     def levers(some: Array | slice) -> Array:
+        """Return the derivatives of whitened rows by these variables, (blocks, rows, variables)."""
         here = np.arange(len(order))[some]
         own = weight[here] * E.levers(order[here])
         if not noise.is_autocorrelated:
@@ -260,7 +263,7 @@ def as_slice(columns: Array) -> Array | slice:
 
 
 def directions_of(normal: Array, negligible_norm: float) -> Array:
-    """Return the orthonormal directions of a part's columns that change the rows, shape (k, kept).
+    """Return the orthonormal directions of a part's columns that change the rows, (k, directions).
 
     normal : Gram matrix of the part's columns in units of typical size, shape (k, k)
     negligible_norm : directions are dropped of which one typical size changes the norm of all rows

@@ -226,7 +226,7 @@ class Marginals:
     def _chosen_model(
         self, at: dict[int, Joined], columns: Array, before: Chosen | None, new: Array, combined: Combined
     ) -> Chosen:
-        """Return a model from the updates by its new parameters, by index of the grid point.
+        """Return the model whose updates by new parameters are `at`, by index of the grid point.
 
         The other arguments are fields of `Chosen`.
         """
@@ -239,7 +239,7 @@ class Marginals:
         return Chosen(log_base, columns, new, combined, before, at, V, b)
 
     def _prepare(self, chosen: Chosen, groups: Sequence[Array]) -> None:
-        """Compute V and b of columns, for all points in `near`, and store them in `chosen`.
+        """Store V and b (see `Chosen`) of the groups' columns in `chosen`, at all points `near`.
 
         groups : indices of the columns of each group; those that are stored are not computed again
         """

@@ -1,4 +1,4 @@
-"""Reports as text: the sentences of a result are in a jinja2 template beside its code.
+"""Reports as text: the sentences of a result are in a jinja2 template next to its code.
 
 A line `[kind]` begins a paragraph of that kind (see `Words`), which ends at the next such line;
 white space in a paragraph becomes one space. `{{ put(blocks) }}` inserts blocks that are made

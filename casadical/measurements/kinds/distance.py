@@ -55,7 +55,7 @@ class Distance(OfPoints):
     def start(self, arrays: Arrays, p: Array) -> Array:
         """Return the position of one anchor that fits its distances best, shape (3,) [m].
 
-        Single wrong distances, at most a fifth, are left out: by least squares one of 300 mm among
+        Single wrong distances, at most a fifth, are omitted: by least squares one of 300 mm among
         ten would move the anchor so far that all ten seem wrong. Two among ten may hide each other.
 
         p : positions of the model in the measuring frame, shape (n, 3) [m]

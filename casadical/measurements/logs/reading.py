@@ -248,7 +248,7 @@ def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ..
 def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return time (k,) [s] and run number (k,) of the used rows, their indices, and sentences.
 
-    The sentences are on new runs that were inferred, and on rows that are left out. Raises
+    The sentences are on new runs that were inferred, and on rows that are omitted. Raises
     InputError for a clock that cannot be used.
     """
     run = log.scalars.get("run")

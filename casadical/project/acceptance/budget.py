@@ -35,8 +35,8 @@ from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
-# Minimum number of held-out poses of a budget; with fewer the scatter of the mean square is not
-# known.
+# Minimum number of held-out poses of a budget; with fewer the scatter of the mean square is
+# unknown.
 MIN_HELD_OUT_POSES = 8
 # Number of degrees of freedom that stands for infinitely many.
 INFINITE_FREEDOM = 1e6
@@ -231,7 +231,7 @@ def budget_of(
     whole, mean = fit_correction * float(np.std(e**2, ddof=1)) / np.sqrt(n), fit_correction * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
     (s, freedom), noise = repeats, given.noise
-    # Degrees of freedom of a stated noise, which is taken as certain to 25 % (JCGM 100:2008, G.4.2).
+    # Degrees of freedom of a stated noise, uncertain by 25 % (JCGM 100:2008, G.4.2).
     stated_noise_freedom = 8.0
     if freedom:  # the scatter of repeats includes the instrument's noise
         noise = 0.0

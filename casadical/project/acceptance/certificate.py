@@ -356,7 +356,7 @@ def certificate(
 
     results : folder as `casadical calibrate --out` writes it, or the robot file in it
     details : certificate.toml; None: nothing is stated
-    problem : folder that was calibrated; None: as result.json names it, beside the results or here
+    problem : folder that was calibrated; None: as result.json names it, next to the results or here
     iso9283 : table of a test, as `casadical plan --iso9283` plans it
     Raises InputError: results and measurements that do not belong together, no held-out positions,
         details that cannot be.

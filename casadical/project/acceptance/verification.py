@@ -45,10 +45,10 @@ class Verification(Acceptance):
     far : poses with more than four times the promised error, or outliers of a robust fit
     without : `found` without outliers, where the robot is not valid with them [m]; None: not
         computed
-    lost : file and row of each row that was left out because a cell is no number
+    lost : file and row of each row that was excluded because a cell is no number
     tables : names of the tables
     again : beginning of a sentence on the frames that were fitted again
-    gone : labels of effects of the instrument, which are left out of the model
+    gone : labels of effects of the instrument, which are removed from the model
     seen : true rms error that these poses reveal as too large in nine of ten cases [m]
     sources : robot file and tables, as they were given
     notes : assumptions about the tables, in words
@@ -100,7 +100,7 @@ class Verification(Acceptance):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """Return the command to run next, where the files of the check are known."""
+        """Return the command to run next, if the result has the files of the check."""
         if not self.sources:
             return ()
         robot, *tables = self.sources
@@ -125,7 +125,7 @@ def verify(
     Base and tool are fitted again. With c n - k degrees of freedom of `found`, c numbers a pose (3
     of a position), k those of base, tool and unknown points, the limit is the 99 % quantile of
     Fisher's F, for the promise is that of some held-out poses, else of chi-squared. Base and tool
-    may stand elsewhere in each session. Effects of the instrument that was there are left out.
+    may stand elsewhere in each session. Effects of the instrument that was there are omitted.
 
     robot : file as `casadical calibrate --out` writes it, or that folder (the last method counts)
     tables : measured poses, one table or several of one kind
@@ -336,7 +336,7 @@ def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
 def problem_of(robot: Path) -> Path | None:
     """Return the problem folder of a calibration; None where it is not found.
 
-    It is looked for in the working directory and beside the results.
+    It is looked for in the working directory and next to the results.
 
     robot : robot file in the folder of results
     """

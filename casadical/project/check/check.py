@@ -254,7 +254,7 @@ def _reading_findings(robot: Robot, m: Measurements) -> tuple[list[Finding], dic
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
-    """Return the noise of a coordinate [m] and its origin as text; None where it is not known.
+    """Return the noise of a coordinate [m] and its origin as text; None where it is unknown.
 
     It is the given one, the declared one, or that of repeated readings.
     """

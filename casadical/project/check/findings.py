@@ -219,9 +219,7 @@ def limits_findings(robot: Robot) -> list[Finding]:
 
 
 def set_findings(problem: Problem) -> list[Finding]:
-    """Return findings on targets, masses, turned signs of coordinates, held-out poses, copies of rows,
-    and unused columns.
-    """
+    """Return findings on targets, masses, signs, held-out poses, copied rows, unused columns."""
     findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
     findings += [Finding("warning", "masses", n) for n in problem.robot.notes if n.startswith("masses left out: ")]
     for table in problem.tables:
@@ -253,7 +251,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
     """Return findings on what one method is expected to determine: data, confounding, misfit.
 
     view : the expectation
-    noise : known noise of a coordinate [m], None where it is not known
+    noise : given noise of a coordinate [m], None where it is unknown
     """
     p = view.unknowns
     if not view.enough:

@@ -113,7 +113,7 @@ def other_readings(robot: Robot, m: Measurements) -> list[tuple[tuple[str, ...],
     """Return each second set of joint readings in a table: columns, unit [SI], and the poses by it.
 
     They are logged columns that are numbered like the joints and close to the readings, as angles
-    that were commanded beside those that the controller read back.
+    that were commanded together with those that the controller read back.
     """
     groups: dict[str, dict[int, str]] = {}
     for name in m.conditions:

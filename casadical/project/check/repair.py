@@ -33,8 +33,7 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
 
     How the controller counts its joints (signs, zeros, couplings), rows and lengths belong to the
     robot file, of a URDF to [urdf] of problem.toml; columns and units to the first table of
-    problem.toml. Unchanged files are not included. Raises InputError where the repair cannot be
-    written.
+    problem.toml. Unchanged files are not included. Raises InputError.
     """
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))

@@ -25,7 +25,7 @@ class Precheck(Result):
     findings : all findings
     title, robot : names, empty where they could not be read
     poses : number of poses in each set
-    noise : noise of a coordinate [m], as far as it is known beforehand
+    noise : noise of a coordinate [m], where it is declared or given
     noise_source : where it is from, in words
     joints : joint ranges that the fitted poses cover
     margin : smallest margin of the four-bars over the poses; None without four-bars

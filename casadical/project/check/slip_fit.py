@@ -140,7 +140,7 @@ class SlipFit:
     orientation: Array | None = None
     # Number of poses by which hypotheses are scored.
     scored: ClassVar[int] = 40
-    # Number of hypotheses that are kept on each level of the search.
+    # Number of hypotheses that are continued on each level of the search.
     beam: ClassVar[int] = 800
 
     def aligned(self, shift: int) -> tuple[Array, Array]:

@@ -111,7 +111,7 @@ def _likely_shifts(fit: SlipFit, robot: Robot) -> tuple[int, ...]:
     """Return the shift of rows with which the readings predict the positions; all where it is unclear.
 
     A position is a trigonometric polynomial of the angles, whatever their signs, zeros and order.
-    Kernel ridge regression on such polynomials shows the shift before other slips are known.
+    Kernel ridge regression on such polynomials shows the shift before other slips are found.
     """
     joints = zip(robot.joints, fit.q.T, strict=True)
     period = np.array([2 * np.pi if joint.kind == "revolute" else 4 * np.ptp(q) + 1e-9 for joint, q in joints])
@@ -205,7 +205,7 @@ def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list
     """Return the indices of the best hypotheses of all, and of each shift and robot.
 
     share : share of the motion that each leaves unexplained, shape (k,)
-    beam : number of hypotheses that are kept
+    beam : number of hypotheses that are continued
     """
     order = ranked(np.negative(share))
     selected, of_each = order[:beam], dict[tuple[int, int], int]()

@@ -47,7 +47,7 @@ class LinearisedReadings:
         the points, shape (n, numbers, p + 3 K)
     points : unknown points by their labels, in the order of the columns, in the measuring frame,
         shape (3,) each [m]
-    separated : residuals of known distances between points, and their Jacobian, in units of sigma,
+    separated : residuals of given distances between points, and their Jacobian, in units of sigma,
         shapes (s,) and (s, p + 3 K)
     """
 
@@ -291,7 +291,7 @@ def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Est
     for own in (*(labels == name for name in set(labels)), *named):
         # Likewise the readings of a point of which half are doubted.
         out[own] &= 2 * out[own].sum() < own.sum()
-    # Without positions or known anchors, placing is a search that outliers do not mislead.
+    # Without positions or given anchors, placing is a search that outliers do not mislead.
     placed = place_sessions(robot, (m,)) if m.position is None and m.target is None else None
     for _ in range(3 + len(m) // 10):
         inside = np.flatnonzero(~out)

@@ -197,7 +197,7 @@ class LiveSession:
         why : reason, which is stored with it. Raises InputError without a reason or reading.
         """
         with self.lock:
-            self._known(number)
+            self._reading(number)
             if not why.strip():
                 raise InputError("give the reason why the reading is struck out; it is stored with it")
             self._add("strike", id=number, why=" ".join(why.split()))
@@ -206,7 +206,7 @@ class LiveSession:
     def restore(self, number: int) -> None:
         """Let a reading that was struck out count again. Raises InputError for no such reading."""
         with self.lock:
-            self._known(number)
+            self._reading(number)
             self._add("restore", id=number)
             self._judge()
 
@@ -216,12 +216,12 @@ class LiveSession:
         Raises InputError where there is no such reading, or its joints cannot be read.
         """
         with self.lock:
-            self._known(number)
+            self._reading(number)
             if number not in (read := self._read()):
                 raise InputError(f"reading {number}: its joints cannot be read; type the pose")
             self._wish = read[number]
 
-    def _known(self, number: int) -> Reading:
+    def _reading(self, number: int) -> Reading:
         """Return the reading of this number, from 1. Raises InputError where there is none."""
         try:
             return self.course.reading(number)
@@ -578,10 +578,7 @@ def finished(session: LiveSession) -> str:
 
 
 def _refuse_measured(folder: Path) -> None:
-    """Refuse a folder whose tables are measured poses of an earlier campaign.
-
-    Raises InputError.
-    """
+    """Refuse a folder whose tables are measured poses of an earlier campaign. Raises InputError."""
     file = problem_file(folder)
     others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":

@@ -14,7 +14,7 @@ def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return a session's data with sentences added, as `casadical measure --json` stores it.
 
     data : as `LiveSession.state` assembles it. Added keys are about, known_words, `words` of each
-        reading, and `figures` of what is known.
+        reading, and `figures` of the estimate.
     """
     figures = data["known"]
     good = sum(r["state"] == "good" for r in data["readings"])

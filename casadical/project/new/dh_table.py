@@ -242,8 +242,7 @@ def _stem(heading: str) -> str:
 def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, str], stem: str) -> str:
     """Return the unit (mm, m, deg, rad) of a column that states none; empty if it needs none.
 
-    It is that of another column of the same quantity, else it follows from the size of all their
-    numbers.
+    It is that of another column of the same quantity, else it follows from their size.
 
     stems, units : heading -> casadical's name without unit, and unit that it states; stem : of the
         column

@@ -348,12 +348,12 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
     """Return the targets with three poses or more, the most measured first, and the others' rows.
 
-    The latter map row of the file -> reason why it is left out.
+    The latter map row of the file -> reason why it is omitted.
     """
     flags = columns.tools()
     order = sorted(flags, key=lambda name: -flags[name].sum())
     names = {name: name.removeprefix("tool_") for name in order}
-    # The rows of a target with fewer poses are left out: they do not determine its point.
+    # The rows of a target with fewer poses are omitted: they do not determine its point.
     few = [name for name in order if flags[name].sum() < 3 and len(order) > 1]
     rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[flags[n] > 0]}
     return tuple(names[name] for name in order if name not in few), rare

@@ -138,7 +138,7 @@ class Given:
     """What a table of measured poses holds.
 
     columns : source of each column, by casadical's name
-    left_out : reason for each row of the file that is left out
+    left_out : reason for each row of the file that is omitted
     tools : names of the measured points
     kind : kind of measurement
     turned : whether orientations of the tool were measured

@@ -15,7 +15,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.urdf.reading import UrdfChain, read_chain
 from casadical.robot.urdf.tree import parse_xml
 
-# Largest change of an origin [m, or of a rotation matrix's entry] with which its text is kept.
+# Largest change of an origin [m, or of a rotation matrix's entry] with which its text stays.
 UNCHANGED_TOLERANCE = 1e-13
 # Name of the link at the measured point in a new file.
 MEASURED_LINK = "measured"
@@ -52,8 +52,8 @@ def calibrated_urdf_text(
     chain = read_chain(path_in, base_link, tip_link)
     _refuse_other_robot(chain, robot_before, robot_calibrated, str(path_in))
     document = parse_xml(path_in)
-    foot = chain.dh.base if base == "robot" else robot_calibrated.base.T
-    for name, T in _joint_origins(chain, robot_calibrated, foot).items():
+    T_link0 = chain.dh.base if base == "robot" else robot_calibrated.base.T
+    for name, T in _joint_origins(chain, robot_calibrated, T_link0).items():
         _write_frame(_part(document, name, "origin"), T)
     for i, moving in enumerate(chain.moving, 1):
         for name, value in _dynamics(robot_calibrated, i).items():
@@ -67,7 +67,7 @@ def calibrated_urdf_text(
     else:
         _move_tip(document, chain, robot_calibrated.tool.T, str(path_in))
     if measuring_link:
-        _add_link(document, chain.base_link, measuring_link, foot @ np.linalg.inv(robot_calibrated.base.T))
+        _add_link(document, chain.base_link, measuring_link, T_link0 @ np.linalg.inv(robot_calibrated.base.T))
     _comment(document, robot_calibrated, chain, base)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + "\n".join(node.toxml() for node in document.childNodes) + "\n"
 
@@ -92,17 +92,17 @@ def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: s
             )
 
 
-def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Array]:
+def _joint_origins(chain: UrdfChain, robot: Robot, T_link0: Array) -> dict[str, Array]:
     """Return the new <origin> of every moving joint, name -> shape (4, 4) [m].
 
     A URDF link is at C_k in our frame k, before and after calibration; between two links are the DH
     row and, before the joint, the fixed joints.
 
-    chain : of the file; robot : calibrated; foot : frame 0 in the base link's frame, shape (4, 4)
+    chain : of the file; robot : calibrated; T_link0 : frame 0 in the base link's frame, shape (4, 4)
         [m]
     """
     origins = {}
-    behind, link = foot, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
+    behind, link = T_link0, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
     for row, joint, T in zip(robot.joints, chain.moving, chain.dh.frames, strict=True):
         C = np.linalg.inv(T) @ chain.frames[joint.child]
         fixed = np.linalg.inv(chain.frames[link]) @ chain.frames[joint.parent]
@@ -203,10 +203,10 @@ def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: s
 
     base : what the base link is, "robot" or "measuring" frame
     """
-    foot = "the robot's foot" if base == "robot" else "the measuring frame"
+    frame = "the robot's base frame" if base == "robot" else "the measuring frame"
     text = (
         f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point "
-        f"carry the identified geometry; {chain.base_link} is {foot}. "
+        f"carry the identified geometry; {chain.base_link} is {frame}. "
     )
     soft = [f"c{i} = {j.compliance:.6g}" for i, j in enumerate(robot.joints, 1) if j.compliance]
     if soft:
