@@ -450,6 +450,6 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
     assert "toy_tooth" not in motion_effects()
 
 
-@pytest.mark.parametrize(("gain", "rival", "fits"), [(70.0, 80.0, True), (70.0, 90.0, False), (50.0, 0.0, False)])
+@pytest.mark.parametrize(("gain", "rival", "fits"), [(70.0, 80.0, True), (70.0, 90.0, False), (30.0, 0.0, False)])
 def test_a_cause_fits_with_evidence_that_no_smooth_function_exceeds(gain, rival, fits):
     assert Found("spring@2", 0, True, 1.0, ("spring@2",), gain, rival).fits is fits

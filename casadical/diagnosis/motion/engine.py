@@ -52,7 +52,9 @@ FITTING_CAUSES = frozenset(
         "reflected_inertia",
     ]
 )
-MIN_FIT_EVIDENCE = 60.0  # smallest log evidence [nats] of a cause that fits
+MIN_FIT_EVIDENCE = 40.0  # smallest log evidence [nats] of a cause that fits
+# The same of further causes: an earlier one whose formula is not exact leaves a part of its effect.
+MIN_FURTHER_EVIDENCE = 60.0
 MIN_FIT_PROBABILITY = 0.95  # smallest probability of a cause that fits, and its twins
 # Smallest log evidence of a cause that fits, divided by that of the best smooth function.
 MIN_RIVAL_RATIO = 1 / 1.2

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import takewhile
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +12,7 @@ from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, rounded_at
-from casadical.diagnosis.motion.engine import Found, LogProblem, Outcome, search
+from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, Outcome, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
 from casadical.diagnosis.motion.hypotheses import problem_of
@@ -87,11 +86,18 @@ class LogDiagnosis(Result):
 
     @property
     def fitting(self) -> tuple[Found, ...]:
-        """Return the causes that fit (see `Found.fits`), up to the first that does not.
+        """Return the causes that fit (see `Found.fits`), at most one of each joint.
 
         They are hints, as no cause is named; () if the log is faulty.
         """
-        return () if self.faults else tuple(takewhile(lambda f: f.fits, self.outcome.found))
+        found = () if self.faults else self.outcome.found
+        joints = [f.label.partition("@")[2] for f in found]
+        least = MIN_FURTHER_EVIDENCE if self.view.motion.torque is None else 0.0
+        return tuple(
+            f
+            for k, f in enumerate(found)
+            if f.fits and f.gain >= (MIN_FURTHER_EVIDENCE if k else least) and joints[k] not in joints[:k]
+        )
 
     @property
     def verdict(self) -> str:

@@ -29,7 +29,7 @@ STANDSTILL_SPEED_RAD_S = 2e-3  # speed [rad/s] below which every joint is at res
 FILTER_BLOCK_SAMPLES = 64  # number of samples that the low-pass filter computes at a time
 REGRESSOR_BLOCK_SAMPLES = 4000  # number of samples at which the regressor is computed at a time
 MIN_QUANTUM_RAD = 1e-6  # smaller changes of a reading are not taken as its resolution [rad]
-MAX_CLOCK_ERROR = 0.01  # relative error of the sample rate above which the clock is faulty
+MAX_CLOCK_ERROR = 0.005  # relative error of the sample rate above which the clock is faulty
 MAX_LOST_SHARE = 0.01  # fraction of missing samples above which a log is faulty
 MAX_REPEATED_SHARE = 0.02  # fraction of repeated samples, in motion, above which a log is faulty
 MIN_GAP_STEPS = 1.6  # a time step is a gap above this multiple of the usual step
@@ -353,11 +353,12 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
 
     reference : a healthy log, whose sample rate is the true one if the arm declares none
     """
-    rate = arm.log_rate or (1 / reference.step if reference else None)
-    if rate and abs((factor := log.step * rate) - 1) > MAX_CLOCK_ERROR:
+    step = _mean_step(log)
+    rate = arm.log_rate or (1 / _mean_step(reference) if reference else None)
+    if rate and abs((factor := step * rate) - 1) > MAX_CLOCK_ERROR:
         yield Fault(
             "clock_scale",
-            f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / log.step:.4g} rows a second, "
+            f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / step:.4g} rows a second, "
             f"{rate:.4g} expected)",
             f"Divide time_s by {factor:.3f}, or state the true rate as log_rate_Hz in [drive].",
         )
@@ -376,6 +377,12 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
             f"the {log.signs_lost} is logged without its sign",
             "Until it has one, friction and load are identified by the response to commands.",
         )
+
+
+def _mean_step(log: JointLog) -> float:
+    """Return the mean time between rows without gaps [s], exact where times are rounded."""
+    steps = np.diff(log.time)[np.diff(log.run) == 0]
+    return float(steps[steps < MIN_GAP_STEPS * log.step].mean())
 
 
 def _repeated_share(log: JointLog) -> float:
