@@ -44,7 +44,7 @@ _DEPARTURE_SIZES = np.geomspace(0.03, 10.0, 18)
 # Factors on the noise, over which it is averaged, too.
 _NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
 # Probability from which a side is said to be wrong or right.
-_SURE = 0.9
+_CONFIDENCE = 0.9
 # What carries the camera -> what moved, if what the flange carries did, or what stands.
 _MOVED = {
     "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's pedestal"},
@@ -126,7 +126,7 @@ class Moved(Shown):
 
         It is for a movement that is not certain.
         """
-        if self.probability <= 1 - _SURE:
+        if self.probability <= 1 - _CONFIDENCE:
             return "Hand-eye or board moved between two rows: no."
         return (
             f"Hand-eye or board moved between two rows: not tellable (rows {self.before} and {self.after}: "
@@ -165,7 +165,7 @@ class ArmOrCamera(Shown):
     def _sides(self) -> tuple[bool | None, bool | None]:
         """Whether arm and camera are wrong; None where the poses do not tell it."""
         p = (self.arm.probability, self.camera.probability)
-        arm, camera = (True if each >= _SURE else False if each <= 1 - _SURE else None for each in p)
+        arm, camera = (True if each >= _CONFIDENCE else False if each <= 1 - _CONFIDENCE else None for each in p)
         return arm, camera
 
     @property
@@ -195,12 +195,12 @@ class ArmOrCamera(Shown):
             f"{head}. Of {1e3 * self.total:.2g} mm rms, camera: {self.camera.in_words()}{errors}; arm: "
             f"{self.arm.in_words()}{most}; noise: {1e3 * self.noise:.2g} mm."
         )
-        if self.moved and self.moved.probability >= _SURE:
+        if self.moved and self.moved.probability >= _CONFIDENCE:
             text = f"{self.moved.in_words()} {text}"
         elif self.moved:
             text += f" {self.moved.doubt_in_words()}"
         if not self.wrong:
-            unsure = [_CAUSES[e.name][2] for e in self.errors if 0.05 < e.probability < _SURE]
+            unsure = [_CAUSES[e.name][2] for e in self.errors if 0.05 < e.probability < _CONFIDENCE]
             more = unsure if self._sides[1] is None and unsure else ["more stations"]
             text += f" It would take {' or '.join(more)}."
         return text
@@ -229,7 +229,7 @@ def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     model = _Model(m, nominal, some, J[:, :, ~frames], drawn[~frames], widths, np.array(names)[~frames])
     answer = model.settled(m.noise, problem.sigmas[0])
     moved = model.step(answer, groups)
-    if moved and moved[0].probability >= _SURE:
+    if moved and moved[0].probability >= _CONFIDENCE:
         # What moved has a frame of its own from then on.
         own_frame = some[:, :, groups == moved[1]] * (m.row >= moved[0].after)[:, None, None]
         answer = model._replace(frames=np.dstack([some, own_frame])).settled(answer.ratios, answer.sigmas)
@@ -419,14 +419,14 @@ class _Model(NamedTuple):
             errors.append(
                 CameraError(name, float(middle), float(low), float(high), float(there.mean()), bool(tellable))
             )
-            for column in columns if tellable and there.mean() >= _SURE else ():
+            for column in columns if tellable and there.mean() >= _CONFIDENCE else ():
                 certain[column] = float(x[there, k + column].mean())
         each = np.sqrt((lengths[:, :, :k] ** 2).sum(axis=1).mean(axis=0)) * np.abs(x[:, :k].mean(axis=0))
         sure = np.abs(x[:, :k].mean(axis=0)) > 3 * x[:, :k].std(axis=0)
         largest = [int(i) for i in np.argsort(-each)[:2] if sure[i] and 4 * each[i] > own]
         shares = _share(arm, own), _share(camera, own)
         named = tuple(str(self.names[i]) for i in largest)
-        taken = CameraErrors(*map(float, certain)) if certain.any() and shares[1].probability >= _SURE else None
+        taken = CameraErrors(*map(float, certain)) if certain.any() and shares[1].probability >= _CONFIDENCE else None
         return ArmOrCamera(total, own, *shares, tuple(errors), named, None, noise, sigmas, taken)
 
 

@@ -434,7 +434,7 @@ def calibrated(
         found = problem.cache.once("independent", lambda: independent_parameters(problem)).independent
         named = [name for name in problem.names if name in found or name in result.names]
         departure = departure_of(result.problem, solution.v, result.variance, result.names)
-        if departure and departure.prior is not None:  # then with the parameters that the free fit left out
+        if departure and departure.prior is not None:  # then with the parameters that the free fit excluded
             departure = departure_of(result.problem, solution.v, result.variance, named)
         result = replace(result, departure=departure)
         if departure and (given := departure.priors(start)):

@@ -860,8 +860,8 @@ def layout(raw: RawTable, chain: Sequence[Joint]) -> Question | None:
 def orientations_in_order(raw: RawTable, taken: Collection[str]) -> Iterator[Question]:
     """Yield the question which columns of a table without headings are an orientation, if some are.
 
-    These are a unit quaternion, a matrix or three angles in neighbouring columns, constant ones and
-    those that are taken left out.
+    These are a unit quaternion, a matrix or three angles in neighbouring columns, except
+    constant columns and those that are taken.
 
     taken : names of columns in use
     """

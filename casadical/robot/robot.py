@@ -179,7 +179,7 @@ def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[
     """Return a covariance matrix as one block, or as one block per owner if it is large.
 
     Correlations between blocks are dropped. A parameter without a variance (NaN, as at a bound) is
-    left out.
+    omitted.
 
     names : of the k parameters; owners : label of each one's effect, or "" for the base model
     matrix : shape (k, k) [SI]

@@ -130,7 +130,7 @@ def verify(
     robot : file as `casadical calibrate --out` writes it, or that folder (the last method counts)
     tables : measured poses, one table or several of one kind
     promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
-    Raises InputError: too few poses, several kinds of measurement, or no promise is known.
+    Raises InputError: too few poses, several kinds of measurement, or no promise.
 
     Examples
     --------

@@ -230,17 +230,17 @@ def _reading_findings(robot: Robot, m: Measurements) -> tuple[list[Finding], dic
     they are empty where the present readings are the best.
     """
 
-    def left(by: Measurements) -> float:
+    def remaining(by: Measurements) -> float:
         """Return the median error of the robot calibrated by some readings [m]."""
         return float(np.median(errors(calibrate_base_model(prepare(robot, [by])).robot, by)))
 
     findings, better = list[Finding](), dict[str, Source]()
     others = facts.other_readings(robot, m)
-    own = least = left(m) if others else 0.0
+    own = least = remaining(m) if others else 0.0
     for names, unit, other in others:
         q1, first = next(iter(robot.reading_units)), f"{m.source}: columns {names[0]!r} and on are readings, too"
-        by_them = left(other)
-        figures = f"calibrated by them {1e3 * by_them:.3g} mm are left (median), by {q1} and on {1e3 * own:.3g} mm"
+        by_them = remaining(other)
+        figures = f"calibrated by them {1e3 * by_them:.3g} mm remain (median), by {q1} and on {1e3 * own:.3g} mm"
         if by_them < own:
             line = f'columns = {{ {q1} = "{names[0]}", ... }} for every joint'
             how = f"take them: {line}, in problem.toml (check --repair writes it)"

@@ -99,7 +99,7 @@ def data_findings(robot: Robot, m: Measurements, table: Measurements, *, repeate
     m : the fitted poses
     table : the whole table, with held-out poses, where there is only one
     repeated_readings : whether an earlier table had the same readings, so that findings on them are
-        left out
+        omitted
     """
     findings = [] if repeated_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
     if computed(robot, m):

@@ -2,7 +2,7 @@
 
 The noise of a coordinate and the factor on the robot's own prior standard deviations are averaged
 over grids, weighted by their evidence (MacKay 1992, "Bayesian interpolation", eqs. 2.6 and 4.5);
-the uncertainty of a prediction is therefore known from the fifth reading on. Base and tool are
+the uncertainty of a prediction is therefore available from the fifth reading on. Base and tool are
 placed by the readings and are free, and so are the points that a kind of measurement leaves
 unknown: what is touched, anchors of distances. The noise of an angle is that of a length times the
 most probable of some ratios.

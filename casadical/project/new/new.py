@@ -336,7 +336,7 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     except (InputError, np.linalg.LinAlgError):
         return np.nan, [], None
     doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
-    fits = median < 0.02 * robot.reach  # else neither the tilt is known nor where a camera is
+    fits = median < 0.02 * robot.reach  # else tilt and place of a camera are unknown
     tilt = float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1)))) if fits else np.nan
     said = [Words(doubt, "warning")] if computed(robot, m) else []
     if words := poses_in_words(m):
