@@ -26,6 +26,7 @@ from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import ARGUMENT_COUNTS, Formula, parse
 from casadical.effects.formula_effect import (
+    ANCHOR_COLUMNS,
     DEFAULT_TARGET_DIRECTION,
     SEAMS,
     STATION_SEAMS,
@@ -366,7 +367,8 @@ def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) ->
     own = {*sizes, *d.settings}
     formulas = {seam: parse(filled(text), frozenset(own)) for seam, text in d.formulas.items()}
     names = dict.fromkeys(n for f in formulas.values() for n in f.names if n not in own)
-    conditions = tuple(dict.fromkeys((*needs, *columns_of(names))))
+    anchor = ANCHOR_COLUMNS if "distance" in formulas else ()
+    conditions = tuple(dict.fromkeys((*needs, *columns_of(names), *anchor)))
     warm = any(c.startswith("warmth") for c in conditions)
     return _Texts(formulas, sizes, (*needs, *(["temperature_degC"] if warm else [])), conditions, tuple(names))
 

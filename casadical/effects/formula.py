@@ -106,8 +106,6 @@ def refuse_unknown(formula: Formula, allows: Callable[[str], bool], allowed: str
 
 # Lower and upper bound of a value.
 Interval = tuple[float, float]
-# Bound on the absolute value of the reciprocal of an interval that contains zero.
-_MAX_RECIPROCAL = 1e15
 
 
 def bounds(formula: Formula, ranges: Callable[[str], Interval]) -> Interval:
@@ -167,17 +165,16 @@ def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interva
 def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Interval) -> Interval:
     """Return (lower, upper) bounds of the value of a binary operation on two intervals.
 
-    text : text of the whole formula. Raises InputError for a division by zero.
+    text : text of the whole formula. Raises InputError for a divisor that may be zero.
     """
     if isinstance(node.op, ast.Add):
         return left[0] + right[0], left[1] + right[1]
     if isinstance(node.op, ast.Sub):
         return left[0] - right[1], left[1] - right[0]
     if isinstance(node.op, ast.Div):
-        if right == (0.0, 0.0):
-            raise _error_at(text, node.right, "is zero; nothing can be divided by it")
-        pole = right[0] <= 0 <= right[1]
-        right = (-_MAX_RECIPROCAL, _MAX_RECIPROCAL) if pole else (1 / right[1], 1 / right[0])
+        if right[0] <= 0 <= right[1]:
+            raise _error_at(text, node.right, "may be zero; divide by what never is: 0.1 + abs(q1)")
+        right = 1 / right[1], 1 / right[0]
     square = isinstance(node.op, ast.Mult) and ast.dump(node.left) == ast.dump(node.right)
     if square or isinstance(node.op, ast.Pow):
         power = 2 if square else int(right[0])

@@ -67,10 +67,11 @@ def test_an_effect_of_a_joint_that_is_not_there_is_refused() -> None:
 def test_an_effect_of_a_column_that_is_not_there_is_refused(ask: Callable[..., object], tmp_path: Path) -> None:
     (tmp_path / "damp.effect.toml").write_text(
         'casadical = 2\n[[definition]]\nname = "damp"\nsignature = "s"\nphysics = "p"\nneeds = ["humidity"]\n'
-        'sizes = {swelling = [5e-5, "rad"]}\nformulas.joint = "swelling * humidity"\n'
+        'sizes = {swelling = [5e-5, "rad"]}\nformulas.joint = "swelling * humidity"\n[[definition]]\nname = "reach"\n'
+        'signature = "s"\nphysics = "p"\nsizes = {a = [5e-5, "m"]}\nformulas.distance = "a * sin(q1)"\n'
     )
     effects = [*read_definitions(tmp_path / "damp.effect.toml").values()]
-    with pytest.raises(InputError, match=r"none of the chosen effects can be tried.*damp@2 needs humidity"):
+    with pytest.raises(InputError, match=r"none of the chosen.*damp@2 needs humidity.*reach needs far_x"):
         ask(robot("ur10e"), with_cable(0.0), effects=effects)
 
 

@@ -102,12 +102,12 @@ def test_bounds_hold_every_value(text: str, low: float, high: float) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a / 0", "column 5: is zero"),
-        ("a / (1 - 1)", "column 6: is zero"),
+        ("a / 0", "column 5: may be zero; divide by what never is"),
+        ("a / x", "column 5: may be zero"),
         ("a * exp(exp(exp(x)))", "column 5: may become greater than 1e\\+100"),
         ("a * ((((x)**6)**6)**6)**6", "may become greater"),
         ("a * sqrt(0 - y)", "column 5: is the root of a negative number"),
-        ("a * exp(1 / x)", "may become greater"),
+        ("a * exp(1 / (x * x + 1e-3))", "may become greater"),
     ],
 )
 def test_values_on_the_way_have_bounds(text: str, message: str) -> None:
@@ -118,7 +118,7 @@ def test_values_on_the_way_have_bounds(text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("a/(q1-q1)", "it is no number where a = .*, q1 ="),
+        ("a/(q1-q1)", "may be zero"),
         ("a*sqrt(q1)", "it is no number where"),
         ("a + 1", "it must be zero where a are zero"),
     ],
