@@ -241,7 +241,7 @@ def _poses(
         tables = (*([measured] if measured else []), to)
         suggest(
             console,
-            "when what was measured stands beside these readings",
+            "when what was measured is in columns next to these readings",
             "calibrate",
             problem,
             *tables,
@@ -325,7 +325,7 @@ def _camera(
         planned = camera_stations(found, n, workspace, seed, seen)
     tell(console, *planned.blocks())
     save(with_json({out: planned.table.to_csv(index=False)}, json_file, planned.to_json()), console)
-    suggest(console, "when the poses of the board stand beside these readings", "calibrate", problem, out)
+    suggest(console, "when the poses of the board are in columns next to these readings", "calibrate", problem, out)
 
 
 def _isolability(

@@ -209,7 +209,7 @@ _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Import modules without searches for cycles, which none of their lasting objects is part of."""
+    """Run the block, which imports modules, without garbage collection, and exempt its objects."""
     gc.disable()
     try:
         yield

@@ -96,7 +96,7 @@ def withheld_make(
     """Write campaigns with hidden effects, and the key to another place; the key's SHA-256 goes with the campaigns.
 
     A quarter hides nothing, 45 % one effect, 15 % two or three, 15 % one that is on no list; 40,
-    100 or 200 poses of three robots; a third lacks a column. With a seed that is known, anyone can
+    100 or 200 poses of three robots; a third lacks a column. With the seed, anyone can
     make the key again.
 
     Example: casadical withheld make --n 60 --out check --key sealed

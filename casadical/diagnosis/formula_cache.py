@@ -1,4 +1,4 @@
-"""Derivatives of the seam variables by the parameters of each effect, as formulas cached on disk.
+"""Cached formulas of each effect: derivatives of its insertion points' variables (seams).
 
 One formula, at zero effect, serves all settings of an effect. The formulas for robots of one
 structure are stored in the user's cache, because composing them takes a second.
@@ -59,7 +59,7 @@ def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula |
 
 
 def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.SX:
-    """Return the derivative of the seam variables by the effect's parameters at zero, symbolic.
+    """Return the derivative of all insertion points' variables by an effect's parameters at zero.
 
     Its shape is (seams, parameters) [SI]. logged : symbols of logged and derived columns by name
     """

@@ -104,7 +104,7 @@ class Comparison:
         return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
 
     def follow(self, pose: int, gain: Array) -> None:
-        """Update the difference of truth and model after the model was updated at a pose.
+        """Update this difference for a model that was conditioned on data at a pose.
 
         pose : index of the pose; gain : Kalman gain of the update, shape (K, 3, 3)
         """

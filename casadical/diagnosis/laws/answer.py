@@ -1,4 +1,4 @@
-"""The result of a search for laws, and its report as text, tables, figures, JSON and files."""
+"""Result of a search for laws (expressions of an unlisted effect), and its report in all forms."""
 
 import re
 from collections.abc import Mapping, Sequence

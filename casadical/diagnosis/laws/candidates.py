@@ -1,4 +1,4 @@
-"""Laws as candidates of the ranking of causes: columns of a place times functions of a driver.
+"""Laws (expressions of an unlisted effect) as candidate causes: where they act times a function.
 
 A candidate is a place of the model and a function with all its settings: a form of the grammar, or
 the smooth function of a state variable, which describes an error without a form. Its evidence is

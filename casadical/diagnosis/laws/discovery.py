@@ -1,4 +1,4 @@
-"""Discover laws of residual errors, given listed causes, and compare models on held-out poses."""
+"""Discover laws (expressions of an unlisted effect), and compare models on held-out poses."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Laws in the ranking of causes: which form is claimed, or which driver describes the error.
+"""Search for a law (expression of an unlisted effect), or for the driver that the error follows.
 
 Smooth functions of all state variables at all places are candidates, as are the listed effects, the
 smooth effects, forms of noise and "nothing"; the grammar's forms are, where those have the most

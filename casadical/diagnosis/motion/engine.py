@@ -213,7 +213,7 @@ class LogProblem:
         return out
 
     def _screened(self) -> Array:
-        """Return the log evidence of each group of columns with the base's noise, by kappa.
+        """Return the log evidence of each group of columns for each prior size (kappa).
 
         Its shape is (groups, kappas).
         """

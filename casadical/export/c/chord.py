@@ -25,8 +25,8 @@ ORIENTATION_LENGTH_M = 0.3
 def prepare(command: Command) -> casadi.Function:
     """Return the CasADi function that prepares a correction: q[n] -> prepared, one vector.
 
-    It has the nominal pose, the factored Jacobian (see `_Step.factored`), the weakness, and the
-    calibrated pose, all at the commanded joints q [rad or m].
+    It has the nominal pose, the factored Jacobian (see `_Step.factored`), the weakness (large near
+    a singular pose), and the calibrated pose; q : commanded joints [rad or m].
     """
     q = SX.sym("q", len(command.lower))
     step = _step(command)

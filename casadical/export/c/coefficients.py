@@ -7,7 +7,7 @@ read the same numbers.
 A function with period 2 pi is evaluated as a cubic spline through equally spaced samples, with the
 same few operations for any number of harmonics. Such a table is made of a function that a CasADi
 function calls (option `never_inline`), so that CasADi's own numbers stay those of the exact
-function. The error of a cubic spline through samples of one harmonic is known in closed form; the
+function. The error of a cubic spline through samples of one harmonic has a closed form; the
 sum over the function's harmonics, as if all had their maximum at one angle, bounds the error at
 every angle.
 """

@@ -119,7 +119,7 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
         exact = _bound(node, [intervals[a] for a in node.args], box, real)
         if not (node.op in _EXACT_OPERATIONS or (node.op == "mul" and exact == (0.0, 0.0))):
             low, high = (v - abs(v) * share * s - smallest * s for v, s in zip(exact, (1.0, -1.0), strict=True))
-            # Where the operation could overflow, nothing is known of its result.
+            # Where the operation could overflow, its result may be anything.
             exact = (low, high) if low >= -largest and high <= largest else _REAL_LINE
         intervals.append(exact)
     return intervals

@@ -67,7 +67,7 @@ def without_curves(robot: Robot) -> Robot:
 
 
 def variables_of(robot: Robot, q: ca.SX) -> ca.SX:
-    """Return the variables of the rows, shape (n,), at the controller's readings q[n] [rad or m].
+    """Return the variable of each DH row, shape (n,), at the controller's readings q[n] [rad or m].
 
     Those of coupled and locked joints follow from the others, so that no correction moves them.
     """
