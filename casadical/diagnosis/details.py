@@ -15,6 +15,7 @@ from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_floor import noise_floor
 from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.pose_selection.workspace import Workspace
 
@@ -90,7 +91,8 @@ def analyse(
     curves = joint_curves(found) if curved else None
     # A law describes the form of a residual: where only the size of the noise is in doubt, there is none.
     searched = found.case.one_end and found.verdict == "unknown" if laws is None else laws
-    skipped = searched and laws is None and found.only_noise_size_doubted
+    complete = found.effects() and found.rankings[-1].none > SETTINGS.max_p_nothing_further
+    skipped = laws is None and complete and found.account.only_size_doubted
     discovery = laws_of_diagnosis(found, show) if searched and not skipped else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)

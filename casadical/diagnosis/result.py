@@ -321,12 +321,6 @@ class Diagnosis(Result):
         certain = len(order) > 1 and last[order[0]] > 0.99 * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 
-    @property
-    def only_noise_size_doubted(self) -> bool:
-        """Return whether, given the causes, the residual is noise whose size alone is in doubt."""
-        further = self.rankings[-1].none <= SETTINGS.max_p_nothing_further
-        return bool(self.effects()) and not further and self.account.only_size_doubted
-
     def effects(self, top: int | None = None, unlisted: Unlisted | None = None) -> tuple[Effect, ...]:
         """Return the effects of the first `top` causes (default: all), with most likely settings.
 

@@ -92,7 +92,9 @@ class Marginals:
     """
 
     def __init__(self, model: LinearModel) -> None:
-        self.model = model
+        # The model's cache holds this object: a cycle would wait for the garbage collector.
+        self.model = copy(model)
+        object.__setattr__(self.model, "cache", {})
         self.sums = GridSums(model)
         self._chosen: dict[bytes, Chosen] = {}
 
@@ -152,7 +154,7 @@ class Marginals:
         if not groups:
             return out
         self._prepare(chosen, groups)
-        self.sums.add_gram_matrices(groups)
+        gram = self.sums.gram_matrices(groups)
         widths = np.array([len(g) for g in groups])
         for width in np.unique(widths):
             which = np.flatnonzero(widths == width)
@@ -161,7 +163,7 @@ class Marginals:
                     self._judge_wide_group(groups[int(g)], chosen, out[g])
                 continue
             columns = np.stack([groups[int(g)] for g in which])
-            own = self.sums.gram_matrices([groups[int(g)] for g in which])
+            own = np.stack([gram[groups[int(g)].tobytes()] for g in which])
             for k in model.near:
                 V = chosen.axes(k, columns)
                 value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))

@@ -108,7 +108,7 @@ class GridSums:
         self._columns = other.columns + sum(sign * part.columns for sign, part in parts)
         groups = [np.frombuffer(key, dtype=np.int64) for key in other._own]
         for _, part in parts:
-            part.add_gram_matrices(groups)
+            part.gram_matrices(groups)
         self._own = {k: own + sum(sign * part._own[k] for sign, part in parts) for k, own in other._own.items()}
         for (key, k), own in other._wide.items():
             group = np.frombuffer(key, dtype=np.int64)
@@ -125,8 +125,10 @@ class GridSums:
                 self._cross[_key(run, k)] = more = CachedRows(len(cross.place), cross.numbers)
                 more.add(at, cross[at] + sum(sign * part._cross[_key(run, k)][at] for sign, part in parts))
 
-    def add_gram_matrices(self, groups: Iterable[Array]) -> None:
-        """Accumulate and cache the Gram matrices of narrow groups, in one pass over the blocks.
+    def gram_matrices(self, groups: Iterable[Array]) -> dict[bytes, Array]:
+        """Return the Gram matrices of all narrow groups so far, by the bytes of their indices.
+
+        Each has the shape (points, width, width); new ones come from one pass over the blocks.
 
         groups : indices of the columns of each group, rising; wider groups are ignored
         """
@@ -135,7 +137,7 @@ class GridSums:
         for g in new.values():
             by_width.setdefault(len(g), []).append(g)
         if not new:
-            return
+            return self._own
         stacks = {w: np.stack(gs) for w, gs in by_width.items()}
         totals = {w: np.zeros((self._points, len(s), w, w)) for w, s in stacks.items()}
         used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
@@ -157,13 +159,7 @@ class GridSums:
         for w, which in stacks.items():
             for i, g in enumerate(which):
                 self._own[g.tobytes()] = totals[w][:, i]
-
-    def gram_matrices(self, groups: Sequence[Array]) -> Array:
-        """Return cached Gram matrices of groups of one width, (groups, points, width, width).
-
-        groups : indices of the columns of each group
-        """
-        return np.stack([self._own[g.tobytes()] for g in groups])
+        return self._own
 
     def wide_gram_matrix(self, group: Array, k: int) -> Array:
         """Return the Gram matrix of a wide group's combinations at one point, (width, width).
