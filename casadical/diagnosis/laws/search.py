@@ -73,7 +73,7 @@ class Round:
     @property
     def claimed(self) -> bool:
         """Return whether the best law is claimed (see the module)."""
-        certain = self.best.form != SMOOTH_FORM and self.probability >= SETTINGS.min_claim
+        certain = self.best.form != SMOOTH_FORM and self.probability >= SETTINGS.min_law_claim
         return certain and not self.alias and self.further >= SETTINGS.min_law_further
 
     @property
@@ -133,7 +133,7 @@ def ranked_laws(
     halved = [replace(s, score=s.score - float(np.log(2))) if s.candidate.driven in split else s for s in smooth]
     laws = _by_score([*forms, *halved])
     found = Round(tuple(laws), _with_laws(ranking, laws, chosen), case.form)
-    if found.best.form == SMOOTH_FORM or found.probability < SETTINGS.min_claim:
+    if found.best.form == SMOOTH_FORM or found.probability < SETTINGS.min_law_claim:
         return found
     best = problem.with_errors(found.best)
     more = with_law(case, best.law)
