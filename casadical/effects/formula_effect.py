@@ -532,13 +532,7 @@ class Law(FormulaEffect):
         names = columns_of(self.drivers)
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
-        needed = (
-            ["payload_kg"]
-            if self.seam.startswith("payload")
-            else list(ANCHOR_COLUMNS)
-            if self.seam == "distance"
-            else []
-        )
+        needed = {"payload": ("payload_kg",), "distance": ANCHOR_COLUMNS}.get(self.seam.split()[0], ())
         return tuple(dict.fromkeys([*names, *needed, *self.of_head]))
 
     def refuse_joints(self, arm: Arm) -> None:

@@ -97,6 +97,9 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
                 if channel and len(words) and _CANONICAL_NAME.fullmatch(heading.strip()):
                     raise InputError(f"{source}: column {heading!r}: {shown(words.iloc[0])} is no number")
                 continue
+            if len(wrong := np.flatnonzero(np.isnan(values) & pd.notna(cells))):
+                where = f"row {raw.line[wrong[0]]}, column {heading!r}: {shown(np.asarray(cells)[wrong[0]])}"
+                raise InputError(f"{source}: {where} is no number; correct or empty the cell")
             first = headings.setdefault((channel, joint), heading)
             if first == heading:
                 channels.setdefault(channel, {})[joint] = values

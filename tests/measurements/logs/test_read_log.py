@@ -165,10 +165,15 @@ def test_what_no_arm_can_have_logged_is_refused(changes, said) -> None:
         JointLog(**({"time": T, "joints": ("a", "b"), "position": Q, "command": Q} | changes))
 
 
-def test_truth_values_are_no_positions(tmp_path) -> None:
+def test_truth_values_and_words_are_no_positions(tmp_path) -> None:
     frame(q1_rad=T > 1, q2_rad=T > 2).to_parquet(tmp_path / "log.parquet")
     with pytest.raises(InputError, match="column 'q1_rad': False is no number"):
         read_log(tmp_path / "log.parquet")
+    words = frame(q1_rad=T, q2_rad=T).astype({"q2_rad": object})
+    words.loc[9, "q2_rad"] = "--"
+    words.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match="row 11, column 'q2_rad': -- is no number; correct or empty the cell"):
+        read_log(tmp_path / "log.csv")
 
 
 def test_gzip_that_is_damaged_or_too_large_is_refused(tmp_path) -> None:
