@@ -7,6 +7,7 @@ from itertools import groupby
 
 from casadical.core.basics import InputError
 from casadical.effects import Effect
+from casadical.effects.formula_effect import MOTION_SEAMS
 from casadical.effects.plugins import effects_by_name
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements, same_readings
@@ -63,11 +64,14 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
     """Return the candidates of a choice of effects, without those that the robot has already.
 
     effects : "standard", "extended", or names, labels, own effects and their classes
-    Raises InputError for a name that is no effect, and where the robot has all of them already.
+    Raises InputError for no effect, one of joint logs, and where the robot has all of them already.
     """
     chosen = [effects] if isinstance(effects, str) else list(effects)
     own_ones = [Candidate(e.label, e.name, e.joint, ((e,),)) for e in chosen if isinstance(e, Effect)]
     own_ones += _of_kinds([e for e in chosen if isinstance(e, type)], robot)
+    seams = {c.label: {*getattr(c.variants[0][0], "formulas", ("",))} for c in own_ones if c.variants}
+    if of_logs := [label for label, seam in seams.items() if seam <= {*MOTION_SEAMS}]:
+        raise InputError(f"{of_logs[0]}: acts at {', '.join(MOTION_SEAMS)}, in joint logs; name effects of poses")
     standard = named(robot, [e for e in chosen if isinstance(e, str)], own_ones)
     if not robot.effects:
         return standard

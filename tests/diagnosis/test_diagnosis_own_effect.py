@@ -14,6 +14,7 @@ from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.effects import Context, Effect, Law
 from casadical.effects.definition import read_definitions
+from casadical.effects.motion import motion_effects
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,12 @@ def test_an_effect_of_a_column_that_is_not_there_is_refused(ask: Callable[..., o
     effects = [*read_definitions(tmp_path / "damp.effect.toml").values()]
     with pytest.raises(InputError, match=r"none of the chosen.*damp@2 needs humidity.*reach needs far_x"):
         ask(robot("ur10e"), with_cable(0.0), effects=effects)
+
+
+def test_an_effect_of_joint_logs_is_not_sought_in_poses() -> None:
+    tooth = motion_effects()["ripple"](2)
+    with pytest.raises(InputError, match="ripple@2: acts at torque, torques, response, responses, in joint logs; name"):
+        diagnose(robot("ur10e"), with_cable(0.0), effects=[tooth])
 
 
 @pytest.mark.parametrize("n", [1, 5])
