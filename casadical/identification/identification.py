@@ -317,12 +317,12 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     """Return the problem with compliance of all revolute joints if its measurements support it.
 
     Only compliance that the robot file does not declare is tested; the result is in `tried`. It is
-    supported where all of these hold: the residuals are at least 1 % smaller, BIC prefers the
-    compliant model (Schwarz 1978; the degrees of freedom of the rigid model replace the number of
-    data), and an F-test gives such a reduction by chance a probability below 1e-3, which few data
-    require. Only parameters that the data determine are counted, and the robot's priors constrain
-    both models. Outliers are those of the compliant model: the residuals of a rigid model of a
-    compliant robot are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST random poses of a set are used.
+    supported where the residuals are at least 1 % smaller and an F-test gives such a reduction by
+    chance a probability below 1e-3. BIC would be stricter with all joints compliant at once, though
+    every arm gives way under gravity. Only parameters that the data determine are counted, and the
+    robot's priors constrain both models. Outliers are those of the compliant model: the residuals of
+    a rigid model of a compliant robot are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST
+    poses of a set, drawn at random, are used.
     """
     wider = prepared.compliant
     if wider is None:
@@ -348,15 +348,12 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
         freedom.append(max(float(redundancies(problem, v).sum()), 1.0))
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
     chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
-    # BIC in terms of the logarithm of the ratio of both sums of squares, and the F-test.
-    carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < 1e-3
     rigid_sigma, compliant_sigma = (
         sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True)
     )
     whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))
-    tried = Tried(
-        rigid_sigma, compliant_sigma, carried and compliant_sigma < 0.99 * rigid_sigma, full.outliers if whole else None
-    )
+    supported = chance < 1e-3 and compliant_sigma < 0.99 * rigid_sigma
+    tried = Tried(rigid_sigma, compliant_sigma, supported, full.outliers if whole else None)
     return replace(wider if tried.kept else prepared, tried=tried)
 
 
