@@ -38,7 +38,7 @@ MAX_WORKBOOK_CELLS = 300_000
 # Largest number of values, rows times columns, of a plain CSV or Parquet table or a joint log;
 # larger ones are refused.
 MAX_TABLE_NUMBERS = 30_000_000
-# Largest number of items of one kind in a file (parameters, harmonics, joints, rows of a grid);
+# Largest number of items of one kind in a file (links, effects, definitions, targets, measurements);
 # files with more are refused.
 MAX_ITEMS = 1000
 # Largest absolute value of a number in a file; greater ones are refused, so that squares and

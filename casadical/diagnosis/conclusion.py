@@ -246,7 +246,7 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
 
 
 def _remainder(state: State) -> float:
-    """Return the log evidence of the best additional cause divided by that of the causes.
+    """Return the log Bayes factor of the best additional cause divided by that of all causes.
 
     It is 0 without causes in the model.
     """

@@ -27,10 +27,10 @@ def likely_noise(log_grid: Array, sigmas: Array = SIGMA_GRID_M) -> Noise:
 
 
 def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> Fit:
-    """Return the joint fit of base model and causes to all poses of the model.
+    """Return the joint fit of base model and causes to all poses of the evidence e.
 
-    columns : indices of the causes' columns, in rising order, shape (k,); noise : that of the fit
-    combined : whether parts of effects are fitted in their observable combinations
+    columns : indices of the causes' columns, rising, shape (k,); noise : assumed by the fit
+    combined : whether the columns of a complete part are replaced by combinations (see `Combined`)
     """
     return Fit(e, columns, noise.sigma, {REPEATABILITY: noise.repeatability / noise.sigma}, combined=combined)
 
@@ -67,7 +67,7 @@ def noise_mean_square(e: Evidence, noise: Noise) -> Array:
 def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> Array:
     """Return the reported error of each pose under a fit to the other folds, shape (n,) [m].
 
-    columns : indices of the causes' columns, shape (k,); noise : that of the fit
+    columns : indices of the causes' columns, shape (k,); noise : assumed by the fit
     folds : index of each pose's fold, shape (n,)
     """
     return fold_errors(e, fit_of(e, columns, noise), folds)
@@ -104,7 +104,7 @@ def partitions(e: Evidence, seed: int) -> list[Array]:
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
     """Return each pose's held-out reported error, averaged over `partitions`, shape (n,) [m].
 
-    columns : indices of the causes' columns, shape (k,); noise : that of the fit
+    columns : indices of the causes' columns, shape (k,); noise : assumed by the fit
     """
     fit = fit_of(e, columns, noise)
     runs = [fold_errors(e, fit, folds) for folds in partitions(e, seed)]

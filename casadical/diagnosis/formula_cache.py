@@ -36,8 +36,9 @@ def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula
 
 
 def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-    """Return an effect's composed formula, or None if it cannot be composed for symbolic settings.
+    """Return the derivative of all insertion points' variables by an effect's parameters.
 
+    The formula is for zero effect; None if it cannot be composed for symbolic settings.
     template : the effect; settings : names of its settings that are inputs of the formula
     """
     symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}

@@ -291,8 +291,8 @@ def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
 def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
     """Return, by label of a cause, a text of the labels that the data cannot distinguish from it.
 
-    The text has the percentage of similarity; causes without such labels are omitted.
-    poses : isolability at these poses; None: without percentages
+    Causes without such labels are omitted. Where `poses` is given, each label has the percentage of
+    the cause's visible signal energy in these poses that it reproduces.
     """
     causes = [c for c in d.causes if c.indistinguishable]
     labels = {label for c in causes for label in (c.label, *c.indistinguishable)}

@@ -176,8 +176,8 @@ class Case:
     def with_lag(self, share: float) -> Case:
         """Return the case with a random lag of each pose along its last motion in its noise.
 
-        share : standard deviation of the lag, as a share of the motion, by that of the joints'
-            repeatability [1/rad]
+        share : standard deviation of the lag, as a share of the motion, divided by that of the
+            joints' repeatability [1/rad]
         """
         assert self.lags is not None
         Jq = np.concatenate([self.whole.Jq, share * self.lags[:, :, None]], axis=2)

@@ -39,7 +39,7 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
     """Return mean and standard deviation [SI] of the priors of the refit, by name of the parameter.
 
     They are those of base parameters, except placement of the base, rotation of the tool and
-    parameters with a prior from another campaign; and of the effects if `Case.growth` is not one.
+    parameters with a prior from another campaign; and of effects if `Case.growth` enlarges them.
     """
     base = case.given.parameters
     each = zip(base.names, base.values.tolist(), case.base.prior[: len(base.names)].tolist(), strict=True)

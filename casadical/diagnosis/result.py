@@ -111,7 +111,7 @@ class Cause:
 
     @property
     def parameters(self) -> dict[str, dict[str, float | str]]:
-        """Return value, std_error and unit [SI] of each parameter as a dict, by its name."""
+        """Return value, std_error and unit [SI] of each parameter of the cause, by its name."""
         names = ("value", "std_error", "unit")
         return {k: dict(zip(names, each, strict=True)) for k, each in (self.estimates or {}).items()}
 

@@ -66,7 +66,7 @@ class State:
         return {c.label: c for c in self.case.candidates}
 
     def columns(self, steps: Sequence[Step] | None = None) -> Array:
-        """Return the indices of the columns of the causes of some steps, of all for None, (k,)."""
+        """Return the indices of the causes' columns of some steps, None: all, rising, shape (k,)."""
         parts = [self.case.group(s.effects) for s in (self.steps if steps is None else steps)]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64)
 

@@ -18,7 +18,7 @@ from casadical.effects.formula_effect import grown_link
 
 # Typical coefficient of a smooth joint error [rad]; each term of its series has a multiple of it.
 TYPICAL_ANGLE_RAD = 30e-6
-# Prior standard deviation of the coefficient of a smooth displacement's first term [m].
+# Typical coefficient of a smooth displacement [m]; each term of its series has a multiple of it.
 TYPICAL_LENGTH_M = 30e-6
 
 
@@ -59,7 +59,7 @@ class _Series(_Smooth):
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
         """Return (name, relative prior size, dimensionless value) of each function of the series.
 
-        The prior standard deviation of a function's coefficient is the relative size multiplied by
+        The typical size of a function's coefficient is the relative size multiplied by
         `TYPICAL_ANGLE_RAD`. If `context` is None, the values are placeholders.
         """
         raise NotImplementedError

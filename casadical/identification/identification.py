@@ -114,11 +114,11 @@ def prepare(
 ) -> Prepared:
     """Return a robot and its measurements ready for identification, with all needed effects added.
 
-    The model gets the prior's effects, the method's compliance, errors of unknown masses, an effect
-    for each further session, and the tool's orientation.
+    These are effects of a robot given as prior, errors of unknown masses, and for each session but
+    the first what it has of its own: base frame, tool point or joint zeros.
 
     prior : the robot from another campaign, or a prior as `carry_over` returns it
-    method : of the paper; it determines how masses are treated, in place of `masses`
+    method : of the paper (KM: rigid joints); it, not `masses`, determines how masses are treated
     tool_turns : whether the orientation of an unknown tool is free where orientations were measured
     Raises InputError for measurements or a method that cannot be used.
     """

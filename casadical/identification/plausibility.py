@@ -302,7 +302,7 @@ def _by_row(m: Measurements) -> Array:
 
 
 def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array | slice = slice(None)) -> str:
-    """Return a sentence on the wrong unit of measured lengths; empty if it seems right.
+    """Return a sentence if measured lengths seem to be mm read as m, or the reverse; else empty.
 
     p : positions of the poses m by the model, shape (n, 3) [m]
     which : indices of the poses that are judged together, all by default

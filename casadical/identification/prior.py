@@ -100,9 +100,9 @@ class Prior(Shown):
         return {name: float(np.mean((x < low) | (x > high))) for name, ((low, high), x) in columns.items()}
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
-        """Refuse frozen values where a pose is outside of the ranges on which they were learnt.
+        """Refuse frozen values where readings or logged columns are outside of the prior's ranges.
 
-        Raises InputError, also for a prior without ranges.
+        Raises InputError, also for a prior without ranges of readings.
         """
         if not len(self.knowledge.readings):
             raise InputError(

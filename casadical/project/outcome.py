@@ -68,7 +68,7 @@ def report_blocks(
 def things_to_know(
     problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
 ) -> list[Block]:
-    """Return at most three sentences that a reader must know, the most important first.
+    """Return at most three warnings or notes that a reader must know, the most important first.
 
     last : identification by the last method, which is the result
     """

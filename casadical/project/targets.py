@@ -246,8 +246,8 @@ def middles(m: Measurements, count: int) -> Measurements | None:
 # Minimum number of rows from which the search for wrong names starts, half of the rows that a table
 # needs for it.
 MIN_SEARCH_ROWS = 18
-# Largest ratio of the median error with other names, or with an additional target, to that without,
-# with which they are accepted.
+# Other names are accepted if they reduce the median error to this fraction or less; K targets, if
+# they reduce it to less than the K-th power of this fraction of that with one target.
 MAX_ERROR_RATIO = 0.5
 
 
@@ -412,10 +412,10 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
             return {}
         check_against(alone, m)
         tried = [_scattered(free, m, which) for which in _starts(robot, free, m)]
-        points, which, ratio = min(
+        points, which, error = min(
             tried, key=lambda t: t[2] / MAX_ERROR_RATIO ** len(t[0]), default=(np.empty((0, 3)), m.row, one)
         )
-        if ratio >= MAX_ERROR_RATIO ** len(points) * one:
+        if error >= MAX_ERROR_RATIO ** len(points) * one:
             return {}
     names = _names_of(points, robot)
     return {name: (points[k], np.flatnonzero(which == k)) for k, name in enumerate(names)}

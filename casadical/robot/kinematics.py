@@ -52,8 +52,8 @@ def loop_angles(
 ) -> tuple[Symbolic, Symbolic]:
     """Return the angles of crank and ground bar [rad] in the loop's plane.
 
-    actuated : variables of the actuated joints; own : variables of the DH rows, at least up to the
-        carrier's [rad or m]
+    actuated : variables of the actuated joints; own : those of the DH rows (`own_variables`), at
+        least up to the carrier's [rad or m]; values : parameters [SI]
     """
     crank = actuated[loop.driven - 1] + values[f"theta{loop.driven}"]
     ground = own[loop.carrier - 1] + values[f"theta{loop.carrier}"]

@@ -47,9 +47,9 @@ def begin_batch(task: Task, weights: Array, samples: Array, ridge: Array) -> Bat
     weights : start of each network, shape (P, count)
     samples : weight of each pose, shape (P, N); ridge : of each problem, shape (P,)
     """
-    count = len(weights)
+    P = len(weights)
     cost = penalised_cost(task, weights, samples, ridge)
-    return Batch(weights, np.full(count, -1.0), np.full(count, 2.0), cost, np.ones(count))
+    return Batch(weights, np.full(P, -1.0), np.full(P, 2.0), cost, np.ones(P))
 
 
 def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> Array:

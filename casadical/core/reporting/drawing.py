@@ -39,16 +39,12 @@ COLOURS: dict[str, tuple[str, str]] = {
 }
 # Colour on a dark background, by that on a light background.
 DARK_BY_LIGHT = dict(COLOURS.values())
-# Colour of titles and labels.
-INK_COLOUR = COLOURS["ink"][0]
-# Colour of the text of axes and legends.
-MUTED_COLOUR = COLOURS["muted"][0]
-# Colour of axes and frames.
-LINE_COLOUR = COLOURS["line"][0]
-# Colour of grid lines.
-GRID_COLOUR = COLOURS["grid"][0]
-# Background of a figure.
-PAPER_COLOUR = COLOURS["paper"][0]
+# Colours of a figure on a light background; a dark page replaces them by `DARK_BY_LIGHT`.
+INK_COLOUR = COLOURS["ink"][0]  # titles and labels
+MUTED_COLOUR = COLOURS["muted"][0]  # text of axes and legends
+LINE_COLOUR = COLOURS["line"][0]  # axes and frames
+GRID_COLOUR = COLOURS["grid"][0]  # grid lines
+PAPER_COLOUR = COLOURS["paper"][0]  # background of the figure
 # Settings of plotly that all axes share.
 AXIS_DEFAULTS = {"gridcolor": GRID_COLOUR, "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
 # Position of the camera when a 3D figure is first shown, in edge lengths of the drawn box.

@@ -82,7 +82,7 @@ class EffectTable:
         )
 
     def table(self) -> Table:
-        """Return the table of the rms errors [mrad], one row for each replay."""
+        """Return the rms errors [mrad] by joint (column): with no effect, without each one, with all."""
         rows = {
             "everything": self.before,
             **{name.split()[-1]: rms for name, rms in self.without.items()},

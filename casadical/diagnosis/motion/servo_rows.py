@@ -17,12 +17,12 @@ from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, LogProblem, Rows
 from casadical.diagnosis.motion.response import simulated
 from casadical.diagnosis.motion.view import LogView, Signals
 
-# The base's parameters of a joint with, each, the prior standard deviation without a reference, the
-# standard deviation of its change from day to day, and the step of finite differences. Compliance
-# (one over the gain), friction, damping and inertia (these divided by the gain) are logarithms;
-# offset [rad], delay beyond the declared one [s], share of the load in the friction, two combinations
-# of the bodies' parameters that load the joint most, shares of friction and damping that are gone when the
-# arm has warmed up, share of friction that is gone at speed, and that of damping that grows with it.
+# The base's parameters of a joint with, each, the prior standard deviation for a declared drive (see
+# `_prior`), that of its change from day to day, and the step of finite differences. Logarithms are
+# compliance (one over the gain), friction, damping and inertia (divided by the gain). The others:
+# offset [rad], delay beyond the declared one [s], friction divided by the load, sizes of the two
+# combinations of body parameters that load the joint most [prior sigmas], excess of friction and of
+# damping in the cold arm, of friction near rest [relative], of damping by speed [relative, s/rad].
 BASE_PARAMETERS = {
     "compliance": (0.15, 0.02, 1e-2),
     "offset": (0.01, 2e-3, 1e-4),

@@ -22,7 +22,8 @@ from casadical.robot.robot import Robot
 
 SMOOTHING_WIDTH_S = 0.08  # full width of the smoothing kernel (Hann window) [s]
 EXCLUDED_EDGE_S = 0.15  # time at both ends of each run that is excluded [s]
-MAX_RATE_HZ = 62.5  # target sample rate: every k-th sample of a faster log is used [Hz]
+# Faster logs are thinned by a whole number to about this sample rate, at most twice as much [Hz].
+MAX_RATE_HZ = 62.5
 PAUSE_BETWEEN_RUNS_S = 10.0  # assumed time between the end of a run and the next one [s]
 STANDSTILL_SPEED_SHARE = 0.02  # speed below which a joint is at rest, divided by its rms speed
 STANDSTILL_SPEED_RAD_S = 2e-3  # speed [rad/s] below which every joint is at rest
@@ -386,9 +387,10 @@ def _mean_step(log: JointLog) -> float:
 
 
 def _repeated_share(log: JointLog) -> float:
-    """Return the fraction of rows in motion that repeat the positions of the previous row, 0 to 1.
+    """Return the fraction of rows in motion at which no joint's reading changes, 0 to 1.
 
-    It is 0 for less than 10 rows in motion.
+    In motion, some joint's mean change over nine rows exceeds `MIN_MOVING_QUANTA` times its smallest
+    change. The fraction is 0 for less than 10 such rows.
     """
     step = np.abs(np.diff(log.position, axis=0))
     step[np.diff(log.run) != 0] = np.nan

@@ -20,7 +20,7 @@ from casadical.effects.motion import motion_columns
 UNDECLARED_PAYLOAD_SHARE = 0.05
 # Distance of an undeclared payload's centre of mass from the flange that counts as one unit [m].
 PAYLOAD_LEVER_M = 0.1
-# A torque or speed is at its limit above this fraction of its largest absolute value in the log.
+# Fraction of the largest torque or speed in a log above which `at_limit`, `at_speed_limit` are set.
 LIMIT_SHARE = 0.97
 AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a reached limit decays
 # Signals of a cause at the samples, by what they act on ("torque" or "position") and joint.

@@ -240,10 +240,10 @@ def orientations(columns: Columns) -> Array:
 
 
 def _from_angles(columns: Columns) -> Array:
-    """Return rotation matrices, shape (n, 3, 3), from columns of three angles.
+    """Return rotation matrices, shape (n, 3, 3), from columns of three angles (_deg, _rad).
 
-    These are rotvec_*, or roll, pitch, yaw, or rx, ry, rz, in _deg or _rad. Raises InputError
-    where columns are missing.
+    They are a rotation vector rotvec_*, or roll, pitch, yaw about the fixed x, y, z, or rx, ry, rz
+    about x, the new y and the new z. Raises InputError where columns are missing.
     """
     from scipy.spatial.transform import Rotation
 

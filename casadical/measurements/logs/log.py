@@ -207,6 +207,7 @@ def _refuse_malformed(log: JointLog) -> None:
 def _cells(log: JointLog, name: str, values: Array) -> Iterator[Fault]:
     """Yield a fault for the impossible values of a channel, one for each joint.
 
+    NaN is a missing cell, a fault only in times and where a joint has no position at all.
     name : of the array; values : shape (n, joints) or (n,) [SI]
     """
     for k, column in enumerate(values.T if values.ndim == 2 else [values]):

@@ -264,7 +264,7 @@ def _files_with_better_readings(found: Precheck) -> dict[Path, str]:
 
 
 def _inverted_files(found: Precheck) -> dict[Path, str]:
-    """Return problem.toml with the key `inverted` of tables of which only the robot tells it; or {}."""
+    """Return problem.toml with `inverted` added to tables of inverse poses that lack it; or {}."""
     if found.nominal is None or found.tables:
         return {}
     path = found.folder / "problem.toml"

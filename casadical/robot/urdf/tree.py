@@ -192,8 +192,8 @@ class Tree:
         """Return the only end link below `base` that a joint moves, or the link of a gripper.
 
         Where no joint moves an end, it is the base. A gripper branches at one link, with more
-        moving joints before it than in each of its fingers.
-        Raises InputError for several ends otherwise.
+        moving joints before it than in each finger. A branch is no end if joints of a longer one
+        mimic all of its joints. Raises InputError for several ends otherwise.
         """
         ends = [link for link, moved in self._walk(base, False) if moved and not self.below[link]]
         if len(ends) < 2:

@@ -62,7 +62,7 @@ class Krl(AngleLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Return the targets of a module, those that must stay unchanged included.
 
-        Raises InputError.
+        Raises InputError: a target has too many joints, or a tool or base changes or lacks a number.
         """
         own, *others = [_Module(each) for each in (text, *given.texts.values())]
         elsewhere = {name: file for file, module in zip(given.texts, others, strict=True) for name in module.assigned}
