@@ -151,7 +151,8 @@ def refuse_many(path: str | Path, numbers: int, most: int = MAX_TABLE_NUMBERS, r
 
 def plain_headings(line: bytes) -> tuple[str, ...]:
     """Return the headings in a line of ASCII text with commas and without quotes; else ()."""
-    usual = line.isascii() and re.fullmatch(rb"[^\n\"]*[A-Za-z][^\n\"]*,[^\n\"]*", line.strip())
+    named = re.sub(rb"[^A-Za-z]*", b"", line, count=1)
+    usual = line.isascii() and b"," in named.strip() and not re.search(rb"[\n\"]", line.strip())
     return tuple(word.strip() for word in line.decode().split(",")) if usual else ()
 
 

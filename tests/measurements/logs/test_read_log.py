@@ -1,6 +1,7 @@
 """Logs of the contract's tables: channels, joints, units and runs; what is refused, and with which words."""
 
 import gzip
+import time
 
 import numpy as np
 import pandas as pd
@@ -9,6 +10,7 @@ import pytest
 from casadical import InputError, Joint, Robot
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import is_log, read_log
+from casadical.measurements.raw_table import plain_headings
 from casadical.robot.urdf import read_urdf
 
 T = np.arange(400) / 100
@@ -174,6 +176,12 @@ def test_truth_values_and_words_are_no_positions(tmp_path) -> None:
     words.to_csv(tmp_path / "log.csv", index=False)
     with pytest.raises(InputError, match="row 11, column 'q2_rad': -- is no number; correct or empty the cell"):
         read_log(tmp_path / "log.csv")
+
+
+def test_a_quote_that_is_never_closed_is_looked_for_once() -> None:
+    began = time.process_time()
+    assert plain_headings(b"a," * 1000 + b'"') == ()
+    assert time.process_time() - began < 2
 
 
 def test_gzip_that_is_damaged_or_too_large_is_refused(tmp_path) -> None:
