@@ -37,10 +37,10 @@ class Candidate:
 
     @property
     def covers(self) -> frozenset[str]:
-        """Return the names of the effects that this candidate includes.
+        """Return the names of the effects that are no candidates once this one is in the model.
 
-        They are no candidates once it is in the model. One of several joints includes the effect at
-        each joint.
+        They are its effect's `covers` and, if it acts at several joints, its own name, which stands
+        for the effect at single joints.
         """
         first = self.variants[0][0]
         return first.covers | ({first.name} if self.together else frozenset())

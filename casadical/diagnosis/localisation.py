@@ -498,7 +498,7 @@ def _regions(case: Case) -> Masks:
 def _payload(case: Case) -> Masks:
     """Return a mask of the poses for each payload [kg], or for each third of more than six values.
 
-    The list is empty where the payload was not logged or is constant.
+    The list is empty where the payload was not logged or is constant, or where thirds coincide.
     """
     mass = case.m.conditions.get("payload_kg")
     if mass is None or np.ptp(mass) == 0:
@@ -512,7 +512,7 @@ def _payload(case: Case) -> Masks:
 def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
     """Return a mask of the poses for each third of a logged column by quantiles.
 
-    The list is empty where it was not logged. by : name of the quantity; unit : of the column
+    It is empty if not logged or if thirds coincide. by : name of the quantity; unit : of the column
     """
     logged = case.m.conditions.get(column)
     return [] if logged is None else _in_thirds(by, logged, unit, 1)

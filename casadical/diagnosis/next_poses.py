@@ -354,14 +354,14 @@ def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
 
 
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
-    """Return phrases on at most two joints that are without load in more poses than before.
+    """Return phrases on at most two joints near zero torque more often than in the campaign.
 
-    A joint is without load below 15 % of its peak gravity torque; before is in the campaign.
+    Near zero is below 15 % of the peak gravity torque, more often twice the campaign's fraction of
+    poses or 0.3 more.
     """
     units = case.given.reading_units
     q = case.given.variables_of(poses[[*units]].to_numpy() * [*units.values()])
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
-    # A joint is without load below this fraction of its peak gravity torque.
     idle, usual = ((np.abs(case.torques(m)) < 0.15 * case.given.torque_scale).mean(axis=0) for m in (new, case.m))
     more = np.flatnonzero(idle > np.minimum(2 * usual, usual + 0.3))
     return [f"{round(idle[j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]

@@ -118,7 +118,7 @@ class Context:
 
 
 def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
-    """Return the revolute joints (1-based) from `first` to `last`, or all of these if none is.
+    """Return the revolute joints (1-based) in `first` to `last`, or all of this range if none is.
 
     The peak gravity torques of the returned joints have one unit and can be compared.
     turning : numbers of the arm's revolute joints

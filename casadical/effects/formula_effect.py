@@ -297,7 +297,7 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
 def check_values(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
     """Check that a formula is zero where its parameters are, and finite and bounded elsewhere.
 
-    Bounds are checked by interval arithmetic, values at 200 random points (see `_range_of`).
+    Values are checked at 200 random points, bounds by intervals (see `bounds` and `_range_of`).
     parameters : names of the parameters; settings : values of the settings, by name
     Raises InputError.
     """
@@ -316,7 +316,7 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
         raise InputError(f"formula {formula.text!r}: it is no number where {there}")
 
 
-# Lower and upper values [SI] of variables with which formulas are checked, by name without number.
+# Range [SI] of each variable in checks of formulas, by name without number; t is progress.
 _RANGE_BY_NAME = {
     "t": (0.0, 1.0),
     "payload": (0.0, 100.0),

@@ -219,7 +219,7 @@ class Session(Effect):
         return moved
 
     def base(self, context: Context) -> Symbolic:
-        """Return the difference of the base frame as a transform (4, 4) [m] in the base frame.
+        """Return the session's base frame in the base frame of the first, a transform (4, 4) [m].
 
         It is the identity at poses of other sessions.
         """
@@ -228,7 +228,7 @@ class Session(Effect):
         return small_frame(*(self._now(context, name) for name in ("x", "y", "z", "rx", "ry", "rz")))
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the difference of the tool point as a translation (4, 4) [m] in the flange frame.
+        """Return the tool point's shift from the first session, (4, 4) [m] in the flange frame.
 
         It is the identity at poses of other sessions.
         """

@@ -51,8 +51,8 @@ INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # of a standard error. A search is slow along what only priors determine, such as the common scale
 # of estimated masses and compliances, or parameters with a prior from another campaign.
 SETTLED_COST_GAIN = 5e-3
-# Number of free parameters with priors above which those of effects are not tested for
-# independence.
+# Number of free parameters of a problem with priors above which those of effects are not tested
+# for independence.
 MANY_PARAMETERS = 200
 # Maximum number of Gauss-Newton steps, damped ones included, with which a solve starts.
 MAX_APPROACH_STEPS = 8
@@ -116,7 +116,7 @@ class LeastSquares:
         return self.cache.once("points", self._points)
 
     def _points(self) -> Array:
-        """Compute `points` from the nominal robot's positions, as the kinds of measurement do."""
+        """Compute `points` by each kind's `point_starts` from the nominal tool positions."""
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
             if labels := self.pose_labels(k):

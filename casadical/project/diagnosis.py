@@ -341,11 +341,11 @@ def read_logs(
     drive: Path | None = None,
     effects: Sequence[str] = (),
 ) -> LogCampaign | None:
-    """Read the joint logs of a problem folder, or given ones; None where files are tables of poses.
+    """Return the campaign of a folder's joint logs, or of given ones; None for tables of poses.
 
     folder : problem folder or robot file
-    tables : files in place of the folder's own
-    reference : log of the same robot in health
+    tables : files in place of the folder's own, which then withholds none
+    reference : log of the same robot in health; it is read here, the others when they are used
     drive : file that declares the drives; None: the robot file, or drive.toml next to it
     effects : effect files, whose causes are candidates in addition to those of the list
     Raises InputError: logs and measured poses together, or what is wrong with robot, drives or

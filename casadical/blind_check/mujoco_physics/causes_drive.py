@@ -56,7 +56,7 @@ def transmission_ripple(plant: Plant, stops: Stops, *, joint: int, size: float, 
 def joint_scale(plant: Plant, stops: Stops, *, joint: int, size: float) -> Array:
     """Return the joint error of a pulley of a wrong diameter at each of n stops, shape (n,) [rad].
 
-    It is the true angle less the reading.
+    It is the true angle less the reading and proportional to the reading.
 
     joint : number of the joint, from 1
     size : relative error of the transmission ratio

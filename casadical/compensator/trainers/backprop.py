@@ -51,7 +51,7 @@ class BackpropRun:
         self.best_weights, self.best_loss = weights, self.loss
 
     def _value_and_slope(self, weights: Array) -> tuple[float, Array]:
-        """Return the loss in squared units of the output layer, and its gradient, (1, count).
+        """Return the task's `Loss` in squared units of the outputs, and its gradient, (1, count).
 
         weights : shape (1, count)
         """

@@ -184,10 +184,10 @@ class Function:
 
     @classmethod
     def smooth(cls, variable: StateVariable, values: Mapping[str, Array]) -> Self:
-        """Return the smooth function of a state variable, which has no settings to choose.
+        """Return the smooth function of a state variable: the sum of its parts, each with a factor.
 
-        Without parts it is a series of cosines over the driver's range, the Karhunen-Loeve expansion
-        of a random walk.
+        If the variable has no parts, they are cosines over its driver's range, the Karhunen-Loeve
+        expansion of a random walk. No settings remain to be chosen.
         values : of the names in the variable's formulas, shape (n,) each
         """
         driver = variable.drivers[0][0] if variable.drivers else variable.parts[0]

@@ -315,12 +315,12 @@ class Outcome:
         return self.problem.with_causes(np.sort(np.concatenate(groups))) if groups else self.problem
 
 
-# Effects that one log may not distinguish.
+# Pairs of effects that one log may not distinguish; those without masses only at the same joint.
 TWIN_EFFECTS = ({"transport_delay", "lag"}, {"payload", "link_mass"}, {"servo_stiffness", "torque_constant"})
 
 
 def twins_of(label: str, ranking: Ranking) -> tuple[str, ...]:
-    """Return the labels of a cause and of its twins, those within 5 nats of its evidence."""
+    """Return a cause's label and those of its `TWIN_EFFECTS` at most 5 nats below its evidence."""
     name, _, joint = label.partition("@")
     near = [k for k in ranking.order if ranking.log_factor[k] > ranking.log_factor[label] - 5.0 and k != label]
     alike = [k for k in near if any({name, k.partition("@")[0]} <= pair for pair in TWIN_EFFECTS)]

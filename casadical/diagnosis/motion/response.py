@@ -54,9 +54,9 @@ SIGMA_LOG_TIMES = 1.5
 LIGHT_LOAD_SHARE = 0.1
 # Prior standard deviation of the logarithm of a lightly loaded joint's gain, about the median one.
 SIGMA_LOG_LIGHT_GAIN = 0.25
-TYPICAL_LAG_S = 0.05  # prior mean of damping / gain [s]
-TYPICAL_INERTIA_S2 = 0.002  # prior mean of inertia / gain [s^2]
-TYPICAL_DELAY_S = 0.02  # prior mean of the command's delay [s]
+TYPICAL_LAG_S = 0.05  # prior median of damping / gain [s]
+TYPICAL_INERTIA_S2 = 0.002  # prior median of inertia / gain [s^2]
+TYPICAL_DELAY_S = 0.02  # prior median of the command's delay [s]
 SIGMA_OFFSET_RAD = 0.05  # prior standard deviation of a constant position error [rad]
 NOISE_ROUNDS = 4  # number of rounds of the fit, each with the noise re-estimated
 MAX_STEPS_PER_ROUND = 6  # largest number of Levenberg-Marquardt steps with one noise
@@ -625,7 +625,7 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
     )
     if delay is not None:
         middle[:, 5] = np.log(np.maximum(delay, 1e-4))
-    # Drives identified from an earlier log are the prior means; joints that do not move keep them.
+    # Drives identified from an earlier log are prior medians; joints that do not move keep them.
     yields = np.exp(middle[:, 0])
     for k, name in ((2, "friction"), (3, "damping"), (1, "bias")):
         if (declared := drive.of_joints(name, n)) is not None:

@@ -39,19 +39,19 @@ BASE_PARAMETERS = {
     "curved": (0.2, 0.05, 2e-2),
 }
 PARAMETER_COUNT = len(BASE_PARAMETERS)
-TYPICAL_FRICTION_RAD = 0.01  # prior mean of dry friction divided by the gain
+TYPICAL_FRICTION_RAD = 0.01  # prior median of dry friction divided by the gain
 TYPICAL_LOAD_FRICTION = 0.08  # prior mean of friction divided by the load
-# Prior mean of damping divided by the declared one (motors add to it).
+# Prior median of damping divided by the declared one (motors add to it).
 TYPICAL_DAMPING_SHARE = 1.5
-TYPICAL_INERTIA_SHARE = 1.6  # prior mean of inertia divided by the declared one (motors add to it)
+TYPICAL_INERTIA_SHARE = 1.6  # prior median of inertia / declared inertia (motors add to it)
 CLOCK_STEPS = 0.25  # clocks of commands and readings differ by about this [samples]
 STRIBECK_SPEED_RAD_S = 0.1  # speed at which the excess of friction at low speed has fallen to 1/e
 WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
-TYPICAL_LAG_S = 0.06  # prior mean of damping / gain where kd is not declared [s]
+TYPICAL_LAG_S = 0.06  # prior median of damping / gain where kd is not declared [s]
 BASE_NOISE_RAD = 1.5e-3  # typical noise of a position in a replay, without the reading's resolution
 SETTLING_TIME_S = 0.3  # time at the start of each run that is not used [s]
 START_NOISE_FACTOR = 2.0  # noise at the start of the base's fit, divided by the typical noise
-START_FRICTION_FACTORS = (1.0, 3.0)  # frictions at which the base's fit starts, divided by the prior mean
+START_FRICTION_FACTORS = (1.0, 3.0)  # frictions at the start of the base's fit / their prior median
 MAX_STEPS = 12  # largest number of Levenberg-Marquardt steps of the base's fit with one noise
 MIN_COST_DECREASE = 0.1  # decrease of the cost below which the fit ends
 COLUMN_SCALES = (0.3, 1.0)  # sizes of a cause, in typical ones, at which its columns are computed

@@ -145,7 +145,7 @@ def _test_table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
 
     P5 to P1 in each cycle; P1, P2 and P4 from three paths; P1 for 8 h.
 
-    q : readings of the poses, shape (5, joints) [rad or m]
+    q : joint variables of the poses, shape (5, joints) [rad or m]; the table has their readings
     command : positions in the base frame, shape (5, 3) [m]
     """
     rows: list[tuple[str, int, int, int, int]] = []

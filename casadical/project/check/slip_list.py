@@ -198,8 +198,8 @@ def meant_length(value: float, departure: float) -> float:
     return value + departure
 
 
-# Function of readings that returns their residuals from predictions, shape (n, lengths) [m], and
-# their squared Mahalanobis distances, shape (n,).
+# Function of readings that returns the residuals of their lengths from predictions, shape
+# (n, lengths) [m], and their squared Mahalanobis distances ("surprise"), shape (n,).
 Misses = Callable[[Measurements], tuple[Array, Array]]
 
 
@@ -318,16 +318,16 @@ def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dic
 def _joints_not_at_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
     """Return a sentence on each joint whose true position may have differed from its k-th reading.
 
-    With this one joint moved, the reading is plausible; the most plausible comes first. The position
-    is found by Gauss-Newton steps from the best of 121 positions in the joint's range.
+    With this one joint moved, the reading is plausible; the most plausible comes first. Gauss-
+    Newton steps begin at the best of 121 positions in the joint's range, cut to +-2 pi [rad or m].
     """
     n, read = robot.n, m.q[k]
     lower, upper = np.maximum(robot.limits[0], -2 * np.pi), np.minimum(robot.limits[1], 2 * np.pi)
 
     def missed(stood: Array) -> tuple[Array, Array]:
-        """Return residuals (n, places, lengths) [m] and surprise (n, places), one joint moved.
+        """Return residuals (n, places, observed lengths) [m] and surprise (n, places).
 
-        stood : trial positions of each of n joints, shape (n, places) [rad or m]
+        stood : trial positions, shape (n, places) [rad or m]: row j is of joint j alone
         """
         q = np.tile(read, (*stood.shape, 1))
         q[np.arange(n), :, np.arange(n)] = stood
