@@ -529,7 +529,7 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
 def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     """Return the noise of each set estimated from a fit with causes; None if it hardly changes.
 
-    columns : indices of the causes' columns, shape (k,); noise : that of the fit
+    columns : indices of the causes' columns, shape (k,); noise : assumed by the fit
     Declared sigmas are unchanged.
     """
     seen = case.observations

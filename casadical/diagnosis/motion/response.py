@@ -227,7 +227,7 @@ class Response:
 
 
 def link_inertia(dynamics: Dynamics) -> Array:
-    """Return the inertia of the links at each joint, all in the middle of their ranges, (joints,)."""
+    """Return the links' inertia at each joint, all at mid range, shape (joints,) [kg m^2]."""
     n = dynamics.robot.n
     middle, none = np.tile(np.mean(dynamics.robot.limits, axis=0), (n, 1)), np.zeros((n, n))
     values = np.append(dynamics.values[: 10 * n], np.zeros(n))
