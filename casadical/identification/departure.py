@@ -88,10 +88,11 @@ def departure_of(problem: LeastSquares, v: Array, variance: float, names: Sequen
     geometry = [problem.robot.parameters[name].group in DRAWN_GROUPS for name in names]
     if not any(geometry) or not variance > 0:
         return None
-    whole, value_of = problem.with_names(names), dict(zip(problem.names, v, strict=False))
+    whole = problem if tuple(names) == problem.names else problem.with_names(names)
+    value_of = dict(zip(problem.names, v, strict=False))
     at = np.concatenate([[value_of.get(name, 0.0) for name in names], v[len(problem.names) :]])
     drawn = np.flatnonzero(geometry)
-    rest = np.setdiff1d(np.arange(whole.size), drawn)
+    rest = np.delete(np.arange(whole.size), drawn)
     H, off = whole.information(at), at - whole.prior_mean
     slope = whole.gradient(at)[0] - whole.prior_matrix @ off
     # The sum of squares of the linearised residuals is square - 2 x'score + x'H x. In x the

@@ -8,7 +8,7 @@ unknown point, that point's departure u [mm]. Its residual is in units of sigma.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -16,9 +16,11 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.mapped_function import MAX_CHUNK_POINTS, MappedFunction
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
+from casadical.measurements.kinds.position import Position
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.robot.model import Expressions, expressions
+from casadical.robot.model import Expressions, expressions, is_rigid
+from casadical.robot.rigid_chain import rigid_chain
 from casadical.robot.robot import Robot
 
 # Name of a loss: the cost of a pose as a function of the squared norm of its residuals.
@@ -81,6 +83,8 @@ class PoseFunctions:
     observed : names of the measured arrays in a pose's data, in their order
     """
 
+    residual: Any
+
     def __init__(
         self, model: Expressions, kind: MeasurementKind, point: bool, chosen: tuple[int, ...], fixed_loads: bool
     ) -> None:
@@ -112,9 +116,35 @@ class PoseFunctions:
         self._value = partial(MappedFunction, "value", of_pose, shared, [r])
 
     @cached_property
-    def value(self) -> MappedFunction:
+    def value(self) -> Any:
         """Function of the residual r alone, which takes a fifth of the time of both."""
         return self._value()
+
+
+class RigidPositions(PoseFunctions):
+    """Residual and Jacobian of a measured position of a rigid chain, without graphs of CasADi."""
+
+    def __init__(self, robot: Robot, kind: MeasurementKind, chosen: tuple[int, ...], fixed_loads: bool) -> None:
+        """Take the chain of a robot; other arguments are as of `PoseFunctions`."""
+        self.kind, self.point, self.fixed_loads = kind, False, fixed_loads
+        self.observed, self._n = ("position",), robot.n
+        self.residual, self.value = (partial(self._evaluated, both) for both in (True, False))
+        kinds = tuple(joint.kind for joint in robot.joints)
+        self._chain = rigid_chain(kinds, robot.parameters.names, chosen)
+
+    def _evaluated(self, derivatives: bool, points: Array, shared: Array) -> list[Array]:
+        """Return the residual, shape (3, n), and the transposed Jacobian, (z, 3 n), or (0, 3 n).
+
+        derivatives : whether the Jacobian is computed
+        points, shared : inputs of n poses and of all, as of `PoseFunctions`, shapes (k, n) and (l,)
+        """
+        chain, free = self._chain, len(self._chain.chosen)
+        edges = [free, free + len(chain.names), len(shared) - free]
+        x, phi, constants, scale = np.split(shared, edges)
+        phi, weight = phi.copy(), points[-1] * points[-2]
+        phi[[*chain.chosen]] += scale * x
+        p, _, J = chain(points[: self._n], phi, constants, scale if derivatives else None, weight)
+        return [(p - points[-5:-2]) * weight, J.reshape(len(J), 3 * len(weight))]
 
 
 # Return the `PoseFunctions` for the same arguments; they are cached, because building takes long.
@@ -131,6 +161,9 @@ def kernel(
     fixed_loads : whether gravity torques are those of the nominal geometry (see `expressions`)
     """
     chosen = tuple(robot.parameters.index_of(name) for name in names)
+    rigid = is_rigid(robot.structure, robot.parameters.values, chosen)
+    if rigid and type(kind) is Position and not point:
+        return RigidPositions(robot, kind, chosen, fixed_loads)
     return _kernel(expressions(robot.structure, fixed_loads), kind, point, chosen, fixed_loads)
 
 
@@ -210,10 +243,11 @@ class Block:
         x, u : as of `evaluate`
         """
         both, value = self.kernel.residual, self.kernel.value
-        for _, (r, *_) in self._called(both if both.is_compiled else value, x, u):
+        function = both if getattr(both, "is_compiled", False) else value
+        for _, (r, *_) in self._called(function, x, u):
             yield r.T
 
-    def _called(self, function: MappedFunction, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
+    def _called(self, function: Any, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
         """Yield a slice of poses and a kernel function's outputs there, the poses as last axis.
 
         x, u : as of `evaluate`

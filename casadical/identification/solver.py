@@ -170,6 +170,9 @@ class _Solver:
                 "sb": "yes",
                 "nlp_scaling_method": "none",
                 "mu_init": 1e-7,
+                # Multipliers of bounds start at mu / distance, not at one: the search then needs no
+                # iterations to lower them.
+                "bound_mult_init_method": "mu-based",
                 "bound_relax_factor": 0.0,
                 # The start is near the optimum and may be at bounds, from which it is not moved.
                 "bound_push": 1e-8,

@@ -3,7 +3,7 @@
 Actuated joint variables give link frames (paper, eqs. 1-3) and torques (eq. 4).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import casadi as ca
 import numpy as np
@@ -23,22 +23,32 @@ Values = Mapping[str, Symbolic]
 MIN_LOOP_MARGIN = 0.02
 
 
+def row_elements(kind: str, i: int, names: Container[str]) -> tuple[list[tuple[bool, int, str]], int]:
+    """Return the elementary transforms of row i (1-based), and the index of that with its variable.
+
+    Each has whether it rotates, its axis (0 to 2), and the name of its parameter.
+
+    kind : of the row's joint; names : of all parameters
+    """
+    about_x = (True, 0, f"alpha{i - 1}"), (False, 0, f"a{i - 1}")
+    about_y = (True, 1, f"beta{i - 1}"), (False, 1, f"b{i - 1}")
+    about_z = (True, 2, f"theta{i}"), (False, 2, f"d{i}")
+    row = [*about_x, *(e for e in about_y if e[2] in names), *about_z]
+    return row, len(row) - (2 if kind == "revolute" else 1)
+
+
 def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Symbolic]:
     """Return the elementary transforms whose product is frame i (1-based) in frame i-1.
 
     variable : joint variable of the row, added to theta or d [rad or m]; values : parameters [SI]
     """
-    theta, d = values[f"theta{i}"], values[f"d{i}"]
-    if arm.joints[i - 1].kind == "revolute":
-        theta = theta + variable
-    else:
-        d = d + variable
-    factors = [rot_x(values[f"alpha{i - 1}"]), translate(values[f"a{i - 1}"], 0, 0)]
-    if f"beta{i - 1}" in values:
-        factors.append(rot_y(values[f"beta{i - 1}"]))
-    if f"b{i - 1}" in values:
-        factors.append(translate(0, values[f"b{i - 1}"], 0))
-    return [*factors, rot_z(theta), translate(0, 0, d)]
+    row, driven = row_elements(arm.joints[i - 1].kind, i, values)
+    factors = []
+    for k, (rotates, axis, name) in enumerate(row):
+        value = values[name] + variable if k == driven else values[name]
+        shift = [*[0] * axis, value, *[0] * (2 - axis)]
+        factors.append((rot_x, rot_y, rot_z)[axis](value) if rotates else translate(*shift))
+    return factors
 
 
 def loop_bars(arm: Arm, number: int, values: Values) -> fourbar.Bars:

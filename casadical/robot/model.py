@@ -5,7 +5,7 @@ dtheta of the paper's eq. 5. Torques are those at the pose after one deflection 
 distance to equilibrium is of third order in the compliance.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -20,6 +20,7 @@ from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, ro
 from casadical.effects import Context, Effect
 from casadical.robot import kinematics
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
+from casadical.robot.rigid_chain import rigid_chain
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,13 +86,18 @@ class Model:
     tau : gravity torques (n,) [N m or N]; margin : of each four-bar (see `fourbar.margin`)
     declared : values of the conditions where nothing was logged, shape (k,)
     constants : numbers that are no parameters, see `constants_of`
-    shared : expressions of all robots of this structure
+    structure : of the robot
     """
 
     arm: Arm
     declared: Array
     constants: Array
-    shared: Expressions
+    structure: "Structure"
+
+    @cached_property
+    def shared(self) -> Expressions:
+        """Expressions of all robots of this structure."""
+        return expressions(self.structure, False)
 
     @property
     def q(self) -> ca.SX:
@@ -154,6 +160,11 @@ class Model:
         q : readings, shape (n, joints) [rad or m]; w : conditions, shape (n, k); phi : parameters,
             shape (P,) [SI]
         """
+        if set(outputs) <= {"p", "R"} and is_rigid(self.structure, phi):
+            kinds = tuple(joint.kind for joint in self.arm.joints)
+            chain = rigid_chain(kinds, self.structure.parameters.names)
+            p, F, _ = chain(q.T, phi, self.constants)
+            return [p if name == "p" else F.transpose(1, 2, 0).reshape(3, -1) for name in outputs]
         points, shared = np.concatenate([q, w], axis=1).T, np.concatenate([phi, self.constants])
         return self.shared.mapped(*outputs)(points, shared)
 
@@ -215,6 +226,18 @@ class Structure:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Structure) and self.key == other.key
+
+
+def is_rigid(structure: Structure, phi: Array, chosen: Iterable[int] = ()) -> bool:
+    """Return whether a robot is a `RigidChain`, without any deflection.
+
+    phi : values of its parameters, shape (P,) [SI]; chosen : indices of those that may change
+    """
+    arm = structure.arm
+    if arm.loops or arm.targets or structure.effects:
+        return False
+    soft = {k for k, p in enumerate(structure.parameters) if p.group == "compliance"}
+    return not (soft.intersection(chosen) or phi[[*soft]].any())
 
 
 @lru_cache(maxsize=64)

@@ -26,7 +26,7 @@ from casadical.core.reporting.blocks import Table, Words
 from casadical.core.reporting.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.effects import Effect
-from casadical.robot.model import Model, Structure, constants_of, expressions
+from casadical.robot.model import Model, Structure, constants_of
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
 
 # Maximum number of parameters whose covariance is stored as one block; with more, each effect has
@@ -346,7 +346,7 @@ class Robot(Shown, Arm):
     @cached_property
     def model(self) -> Model:
         """Return the symbolic model and its CasADi functions."""
-        return Model(self, self.declared, self.constants, expressions(self.structure, False))
+        return Model(self, self.declared, self.constants, self.structure)
 
     @cached_property
     def structure(self) -> Structure:

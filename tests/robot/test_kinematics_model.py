@@ -18,6 +18,8 @@ from numeric_arm import (
     vector,
 )
 
+from casadical.robot.rigid_chain import rigid_chain
+
 ARMS = {
     "hh800": hh800,
     "hh800, no parallelogram": lambda: hh800(bars=(0.7, 1.65, 0.9)),
@@ -47,6 +49,26 @@ def test_pose_of_the_rigid_arm(arm):
         T = pose(arm, q)
         np.testing.assert_allclose(p.full().ravel(), T[:3, 3], rtol=0, atol=1e-12)
         np.testing.assert_allclose(R.full(), T[:3, :3], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["slider", "generic", "seven axes"])
+def test_chain_in_numpy_is_the_numeric_arm_and_its_jacobian_the_derivative(name):
+    """All poses at once, by every parameter: base, rows of turning and sliding joints, tool, with their factors."""
+    arm = rigid(ARMS[name]())
+    arm = replace(arm, tool=replace(arm.tool, unknown="pose"))
+    q, rng, names = at_poses(arm), np.random.default_rng(4), arm.parameters.names
+    phi = arm.parameters.values + rng.normal(0, 1e-2, len(names))
+    scale, weight = rng.uniform(1, 2, len(names)), rng.uniform(1, 2, len(q))
+    chain = rigid_chain(tuple(j.kind for j in arm.joints), names, tuple(range(len(names))))
+    p, axes, J = chain(q.T, phi, arm.constants, scale, weight)
+    moved, by_parameters = arm.with_values(dict(zip(names, phi, strict=True))), jacobian(arm.position, 1)
+    for k, of_pose in enumerate(q):
+        expected = pose(moved, of_pose)
+        assert np.allclose(p[:, k], expected[:3, 3], atol=1e-12)
+        assert np.allclose(axes[:, :, k].T, expected[:3, :3], atol=1e-12)
+        by_graph = by_parameters(of_pose, phi).full()
+        assert np.allclose(J[:, k].T, by_graph * scale * weight[k], atol=1e-9)
+    assert np.array_equal(chain(q.T, phi, arm.constants)[0], p)
 
 
 def test_torque_is_minus_the_gradient_of_the_energy(arm):

@@ -96,7 +96,7 @@ def marginalised(H: Array, g: Array, selected: Array, inverse: Array) -> tuple[A
     inverse : inverse of the sum of the others' part of H and their prior precision, shape (p - k,
         p - k), in the order of their indices
     """
-    others = np.setdiff1d(np.arange(len(g)), selected)
+    others = np.delete(np.arange(len(g)), selected)
     own = inverse @ H[np.ix_(others, selected)]
     return H[np.ix_(selected, selected)] - H[np.ix_(selected, others)] @ own, g[selected] - own.T @ g[others]
 
