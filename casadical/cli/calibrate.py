@@ -51,7 +51,7 @@ def check(
 
     Exit codes: 0 ready, 2 something is wrong, 70 a bug in casadical.
     """
-    from casadical.project.check import precheck
+    from casadical.project.check.check import precheck
     from casadical.project.check.repair import not_repaired, repaired
 
     console = wrapped(quiet)

@@ -1,11 +1,13 @@
 """Calibration of a problem by its methods: identified robots, networks, accuracies and files."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -16,7 +18,6 @@ from casadical.core.reporting.blocks import Block, Page, Words, mm, next_step
 from casadical.core.reporting.figure import Figure
 from casadical.core.reporting.plain import Key, plain
 from casadical.core.reporting.result import Result, html, plain_text
-from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.arm_or_camera import ArmOrCamera, arm_or_camera
 from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
@@ -42,12 +43,14 @@ from casadical.project.calibration_page import calibration_figures, calibration_
 from casadical.project.hand_eye import HandEye, hand_eye_of
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
-from casadical.project.planning import more_poses
 from casadical.project.problem import Carried, Problem, error_groups, nothing_carried, read_problem
 from casadical.project.problem_file import BASE_METHODS, CameraErrorsTable, all_methods, base_methods
 from casadical.project.robot_columns import unfitted
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
+
+if TYPE_CHECKING:
+    from casadical.diagnosis.localisation import Localisation
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +171,8 @@ class Calibration(Result):
         """
         _, before, after, held_out = judged_on(self.accuracies)
         if held_out and after.mean > before.mean:
+            from casadical.project.planning import more_poses
+
             return more_poses(source, self.problem.sets["identify"][0])
         if not written:
             return next_step("to keep the result", "calibrate", source, *tables, "--out", "results")

@@ -1,16 +1,16 @@
 """The HTML report of a calibration: sentences, tables and figures, as a reader asks for them."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.compensator.trainers.registry import network_methods
 from casadical.core.reporting.blocks import Block, Page, Section, Tile, Words, figures_named, mm
 from casadical.core.reporting.figure import Axis, Figure, Series
-from casadical.diagnosis.figures import where_figures
-from casadical.diagnosis.linear_problem import make_case
-from casadical.diagnosis.localisation import Localisation, localise_residual
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.figures import (
     correlated,
@@ -45,8 +45,10 @@ from casadical.project.outcome import (
     report_blocks,
 )
 from casadical.project.problem import Problem
-from casadical.project.reporting import problem_files
 from casadical.robot.robot import Robot
+
+if TYPE_CHECKING:  # diagnoses take a third of the time of all imports
+    from casadical.diagnosis.localisation import Localisation
 
 # Maximum number of poses from which the residual error is localised, drawn at random, to bound the
 # time.
@@ -131,6 +133,9 @@ def network_style(method: str) -> Style:
 
 def residual_localisation(result: Identification) -> Localisation | None:
     """Return where the residual error is localised; None unless one set of positions was fitted."""
+    from casadical.diagnosis.linear_problem import make_case
+    from casadical.diagnosis.localisation import localise_residual
+
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
     if len(m := result.measurements[0]) > MAX_LOCALISED_POSES:
@@ -184,6 +189,8 @@ def calibration_figures(
         robots = {"before": last.placed, **{method: r.robot for method, r in results.items()}}
         yield image_plane(seen, robots, "Of the poses that identified. Errors of depth are in the tooltips.")
     if where:
+        from casadical.diagnosis.figures import where_figures
+
         yield from where_figures(where)
     yield from parameter_figures(last)
     yield from fit_figures(last, {SET_TITLES.get(name, name): parts for name, parts in problem.sets.items()})
@@ -242,6 +249,8 @@ def calibration_page(
     accuracies : accuracies by method, set and state
     figures : figures by name; camera : sentences on the camera, where one measured the poses
     """
+    from casadical.project.reporting import problem_files
+
     last = list(results.values())[-1]
     errors = [*outlier_table(problem, results), *error_tables(problem, accuracies, networks)]
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]

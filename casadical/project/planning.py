@@ -12,7 +12,6 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError, Show, silent
 from casadical.core.reporting.blocks import Words, next_step
-from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.identification.prior import Prior
@@ -220,6 +219,8 @@ def plan_problem(
     asked : further arguments of `plan`
     Raises InputError.
     """
+    from casadical.diagnosis.candidates import named
+
     robot, prior = carried(robot_of(path))
     before = read_campaign(path, measured, robot) if measured else None
     candidates = [c for c in named(robot, effects) if c.listed] if effects else []

@@ -12,7 +12,7 @@ from casadical import InputError, read_measurements, read_problem
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table
 from casadical.measurements.table_form import decoded
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign
 

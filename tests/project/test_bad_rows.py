@@ -14,7 +14,7 @@ from casadical.core.reporting.blocks import Table, mm
 from casadical.core.reporting.result import plain_text
 from casadical.identification import errors
 from casadical.project.acceptance.certificate import certificate
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign
 

@@ -19,7 +19,7 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
 from casadical.measurements.logs.systems import UR_JOINTS, stations_of_bag
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.hand_eye import hand_eye_of
 from casadical.project.new import new_problem

@@ -8,7 +8,7 @@ import pytest
 
 from casadical import InputError, calibrate, read_problem, read_robot
 from casadical.project.acceptance.verification import verify
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.planning import plan
 from casadical.project.problem import read_campaign
 

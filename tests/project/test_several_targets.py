@@ -11,7 +11,7 @@ from command_line import main
 
 from casadical import InputError, calibrate, compare_files, diagnose, read_robot, verify
 from casadical.identification import errors
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_problem
 from casadical.robot.robot_file import to_toml

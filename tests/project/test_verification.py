@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from casadical import InputError, calibrate
 from casadical.project.acceptance.verification import verify
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 
 

@@ -8,7 +8,7 @@ from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, 
 from casadical.core.basics import InputError
 from casadical.identification.identification import identify
 from casadical.measurements.reading import read_measurements
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.robot.robot import modified_dh
 from casadical.robot.urdf import read_urdf
 

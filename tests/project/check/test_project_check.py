@@ -17,10 +17,11 @@ from marks import slow
 
 from casadical import Measurements, calibrate
 from casadical.identification.identification import identify
-from casadical.project.check import Precheck, precheck
+from casadical.project.check.check import precheck
 from casadical.project.check.findings import far_rows
 from casadical.project.check.plausible import repeats
 from casadical.project.check.repair import repaired
+from casadical.project.check.result import Precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 

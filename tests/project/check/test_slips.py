@@ -12,7 +12,7 @@ from command_line import main, own_planar
 from marks import slow
 
 from casadical import Measurements, calibrate
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slip_list import LENGTHS_MIRROR_WARNING, MIRROR_WARNING

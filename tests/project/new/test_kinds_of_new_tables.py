@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical import InputError, calibrate, compare_files, read_measurements, read_problem
 from casadical.measurements.raw_table import read_table
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_campaign_robot

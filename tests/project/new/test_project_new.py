@@ -12,7 +12,7 @@ from command_line import run
 
 from casadical.core.basics import InputError
 from casadical.identification.identification import identify
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
 from casadical.project.problem import read_problem

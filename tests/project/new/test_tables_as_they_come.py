@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical import InputError
 from casadical.measurements.raw_table import read_table
-from casadical.project.check import precheck
+from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
