@@ -187,10 +187,13 @@ class _Question:
     def lagging(self, case: Case, share: float) -> Diagnosis:
         """Return the diagnosis of a case with a random lag of the readings in its noise.
 
-        share : of `LAG_SHARES`
+        share : of `LAG_SHARES`, standard deviation of the lag as a share of the motion, divided by
+            that of the joints' repeatability [1/rad]
         """
         self.show("causes given readings that lag behind the last motion")
-        case = case.with_lag(share)
+        assert case.lags is not None
+        Jq = np.concatenate([case.whole.Jq, share * case.lags[:, :, None]], axis=2)
+        case = replace(case, whole=replace(case.whole, Jq=Jq))
         # Poses that a great lag displaced are no outliers.
         noise = likely_noise(case.evidence.log_base(), case.whole.sigmas)
         _, distance = errors_and_distances(case.whole, NO_COLUMNS, noise, case.inliers)

@@ -173,16 +173,6 @@ class Case:
         behind = np.column_stack([m.conditions[name] for name in names])
         return np.asarray(np.einsum("nij,nj->ni", self.whole.Jq, behind))
 
-    def with_lag(self, share: float) -> Case:
-        """Return the case with a random lag of each pose along its last motion in its noise.
-
-        share : standard deviation of the lag, as a share of the motion, divided by that of the
-            joints' repeatability [1/rad]
-        """
-        assert self.lags is not None
-        Jq = np.concatenate([self.whole.Jq, share * self.lags[:, :, None]], axis=2)
-        return replace(self, whole=replace(self.whole, Jq=Jq))
-
     def _with_evidence(self, evidence: Evidence) -> Case:
         """Store `evidence` as the linear model of the inlier poses, and return the case itself."""
         self.selected[:] = [evidence]

@@ -192,7 +192,13 @@ class Fit:
         first = p - self.combined.width
         Q, _ = axes_of_base(self._cached_columns[:, :first], 1 / self.prior[:first])
         wide = self._cached_columns[:, first:] * self.prior[first:]
-        return np.asarray((np.linalg.inv(covariance_given_base(Q, wide @ wide.T)) - Q @ Q.T)[:rows, :rows])
+        # Prior covariance by the causes, projected orthogonally to the base, plus that of the noise.
+        covariance = np.zeros((len(Q), len(Q)))
+        covariance[: len(wide), : len(wide)] = wide @ wide.T
+        covariance -= Q @ (Q.T @ covariance)
+        covariance -= (covariance @ Q) @ Q.T
+        covariance[np.diag_indices(len(Q))] += 1.0
+        return np.asarray((np.linalg.inv(covariance) - Q @ Q.T)[:rows, :rows])
 
     @cached_property
     def _residual_of_prior_mean(self) -> Array:
@@ -233,20 +239,3 @@ class Fit:
 def _blocks(B: Array) -> Array:
     """Return the diagonal blocks of B B', shape (n, m, m); B : shape (n, m, p)."""
     return np.asarray(B @ B.transpose(0, 2, 1))
-
-
-def covariance_given_base(Q: Array, K: Array) -> Array:
-    """Return the prior covariance of whitened rows, projected orthogonal to the base.
-
-    It is the identity (noise) plus the projected covariance by the causes, shape (rows + P, rows +
-    P).
-
-    Q : orthonormal basis of the base with its prior rows, shape (rows + P, P)
-    K : prior covariance of the whitened rows by the causes, shape (rows, rows)
-    """
-    covariance = np.zeros((len(Q), len(Q)))
-    covariance[: len(K), : len(K)] = K
-    covariance -= Q @ (Q.T @ covariance)
-    covariance -= (covariance @ Q) @ Q.T
-    covariance[np.diag_indices(len(Q))] += 1.0
-    return covariance

@@ -115,7 +115,9 @@ class GridSums:
             self._wide[key, k] = own + sum(sign * part.wide_gram_matrix(group, k) for sign, part in parts)
         runs_by_columns: dict[tuple[bytes, int], list[Array]] = {}
         for (first, last, k), cross in other._cross.items():
-            runs_by_columns.setdefault((cross.cached_columns.tobytes(), k), []).append(np.arange(first, last + 1))
+            runs_by_columns.setdefault((np.flatnonzero(cross.place >= 0).tobytes(), k), []).append(
+                np.arange(first, last + 1)
+            )
         for (key, k), runs in runs_by_columns.items():
             at = np.frombuffer(key, dtype=np.int64)
             for _, part in parts:
@@ -367,11 +369,6 @@ class CachedRows:
     def __init__(self, columns: int, numbers: int) -> None:
         self.place, self.count, self.numbers = np.full(columns, -1), 0, numbers
         self._rows = np.empty((0, numbers))
-
-    @property
-    def cached_columns(self) -> Array:
-        """Return the indices of the columns whose rows are cached."""
-        return np.flatnonzero(self.place >= 0)
 
     def __getitem__(self, columns: Array) -> Array:
         """Return the cached rows of columns of these indices, shape (*columns.shape, numbers).
