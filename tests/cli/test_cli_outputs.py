@@ -9,6 +9,7 @@ import pytest
 from command_line import main, own_planar, run
 
 from casadical import InputError
+from casadical.cli.options import robot_of
 from casadical.cli.outputs import _refuse_foreign
 from casadical.core.files import claimed, json_text
 from casadical.diagnosis.motion.result import LogDiagnosis
@@ -131,3 +132,9 @@ def test_the_diagnosis_of_logs_is_written_over_its_own_file(tmp_path: Path) -> N
     (tmp_path / "b.json").write_text('{"log": "mine", "verdict": "mine"}')
     with pytest.raises(InputError, match="was not written by casadical"):
         _refuse_foreign(tmp_path / "b.json")
+
+
+def test_a_problem_folder_is_none_of_results(tmp_path: Path) -> None:
+    for name in ("problem.toml", "result.json"):
+        (tmp_path / name).touch()
+    assert robot_of(tmp_path) == tmp_path

@@ -15,6 +15,7 @@ from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import Noise, same_readings
 from casadical.measurements.reading import refuse_shared_rows
+from casadical.project.problem_file import SetsTable
 
 
 def readings(n, joints=2, seed=0):
@@ -133,6 +134,8 @@ def test_shares_that_add_up_to_one_use_every_pose():
     for n in (3, 7, 10, 101):
         sets = positions(readings(n)).split({"identify": 0.5, "report": 0.5}, seed=n)
         assert sum(len(s) for s in sets.values()) == n
+        (whole,) = positions(readings(n)).split(SetsTable(identify=1).sizes()).values()
+        assert len(whole) == n
 
 
 @settings(max_examples=60, deadline=None)
