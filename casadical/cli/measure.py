@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
-# Time between two queries of the source of readings [s].
-POLL_INTERVAL_S = 0.2
-
 
 def measure(
     context: Context,
@@ -80,7 +77,7 @@ def measure(
     """
     from casadical.core.reading import load_toml
     from casadical.project.live.session import TABLE_FILE, LiveSession, finished
-    from casadical.project.live.sources import JOURNAL_FILE, SimulatedSource, journal, source_of
+    from casadical.project.live.sources import JOURNAL_FILE, POLL_INTERVAL_S, SimulatedSource, journal, source_of
     from casadical.project.live.view import summary
 
     console = plain(quiet)

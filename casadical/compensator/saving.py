@@ -2,25 +2,26 @@
 
 import json
 import os
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from casadical.compensator.checksummed_json import checksummed, read_checksummed, write_checksummed
 from casadical.compensator.compensator import Compensator
-from casadical.compensator.layout import JointBox, Layout
+from casadical.compensator.layout import JointBox
 from casadical.compensator.network import Network
-from casadical.compensator.report import BeforeAfter
 from casadical.core.basics import InputError
 
 # Name of the file format, which is in each file.
 FILE_FORMAT = "casadical-compensator"
 # Version of the file format, which is in each file.
 FORMAT_VERSION = 1
-# Fields of a compensator that are saved unchanged.
-_UNCHANGED_FIELDS = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")
+# Type of each field of a compensator that is saved under its own name, as pydantic takes a required field.
+_SAVED_FIELDS: dict[str, Any] = {
+    f.name: (f.type, ...) for f in fields(Compensator) if f.name not in ("network", "trained_box", "trained", "history")
+}
 
 
 class _SavedNetwork(BaseModel):
@@ -33,25 +34,15 @@ class _SavedNetwork(BaseModel):
     weights: list[float]
 
 
-class _Saved(BaseModel):
-    """Schema of a saved compensator."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-    layout: Layout
-    network: _SavedNetwork | None
-    trained_box_rad: JointBox
-    training: BeforeAfter
-    choice: BeforeAfter
-    validation: BeforeAfter | None
-    chosen_by: str
-    margin: float
-    trainer: str
-    settings: dict[str, Any]
-    note: str
-    seed: int
-    data_sha256: str
-    verdict: str
+# Schema of a saved compensator.
+_Saved: Any = create_model(
+    "_Saved",
+    __config__=_SavedNetwork.model_config,
+    network=(_SavedNetwork | None, ...),
+    trained_box_rad=(JointBox, ...),
+    verdict=(str, ...),
+    **_SAVED_FIELDS,
+)
 
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
@@ -79,11 +70,9 @@ def _body(compensator: Compensator) -> dict[str, Any]:
     network = None
     if net is not None:
         network = {"box_rad": asdict(net.box), "output_scale_mm": net.output_scale_mm, "weights": net.weights.tolist()}
-    body = {name: getattr(compensator, name) for name in _UNCHANGED_FIELDS}
-    body |= {name: asdict(getattr(compensator, name)) for name in ("layout", "training", "choice")}
-    body["validation"] = None if compensator.validation is None else asdict(compensator.validation)
-    body |= {"trained_box_rad": asdict(compensator.trained_box), "network": network, "verdict": compensator.verdict}
-    return body
+    plain = asdict(replace(compensator, network=None, trained=None))
+    body = {name: plain[name] for name in _SAVED_FIELDS}
+    return body | {"trained_box_rad": plain["trained_box"], "network": network, "verdict": compensator.verdict}
 
 
 def load_compensator(path: str | os.PathLike[str]) -> Compensator:
@@ -109,12 +98,8 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
             network = Network(saved.layout, net.box_rad, np.array(net.weights), net.output_scale_mm)
         compensator = Compensator(
             network=network,
-            layout=saved.layout,
             trained_box=saved.trained_box_rad,
-            training=saved.training,
-            choice=saved.choice,
-            validation=saved.validation,
-            **{name: getattr(saved, name) for name in _UNCHANGED_FIELDS},
+            **{name: getattr(saved, name) for name in _SAVED_FIELDS},
         )
         _refuse_large(compensator)
         return compensator

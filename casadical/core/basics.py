@@ -17,6 +17,8 @@ if TYPE_CHECKING:  # numpy is not loaded for an annotation
 else:
     Array = Any
 
+# Metres in a millimetre, the unit of lengths in least-squares problems.
+M_PER_MM = 1e-3
 # Progress callback of long computations: it is called with a line of text.
 Show = Callable[[str], None]
 

@@ -18,7 +18,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns, serial_columns
 from casadical.core.linear_gaussian.grid import Grid
-from casadical.core.linear_gaussian.marginals import NO_COLUMNS
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS, marginals_of
 from casadical.core.linear_gaussian.model import LinearModel, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel, SerialNoise
 from casadical.measurements.measurements import Noise
@@ -189,7 +189,7 @@ class Evidence(LinearModel):
 
         also : columns of causes that are in the model already; they are marginalised
         """
-        own = self.marginals.log_base(NO_COLUMNS if also is None else also)
+        own = marginals_of(self).log_base(NO_COLUMNS if also is None else also)
         return self.averaged(own, (other.log_base(also) for _, other in self.at_other_ratios))
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
@@ -200,13 +200,13 @@ class Evidence(LinearModel):
         also : columns of causes that are in the model already; they are marginalised like the base
             model
         """
-        own = self.marginals.log_grids(groups, NO_COLUMNS if also is None else also)
+        own = marginals_of(self).log_grids(groups, NO_COLUMNS if also is None else also)
         return self.averaged(own, (other.log_grids(groups, also) for _, other in self.at_other_ratios))
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
         """Cache the products that `log_grids` needs for all groups given each chosen group."""
         for e in (self, *(other for _, other in self.at_other_ratios)):
-            e.marginals.look_ahead(chosen, groups)
+            marginals_of(e).look_ahead(chosen, groups)
 
 
 @dataclass(frozen=True, eq=False)

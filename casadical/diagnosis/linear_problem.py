@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.marginals import NO_COLUMNS
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS, take_over_cache
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
@@ -263,12 +263,11 @@ class Case:
             lost, gained = (
                 self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.inliers, inliers), (inliers, self.inliers))
             )
-            more.evidence.with_updated_cache(self.evidence, lost, gained)
+            take_over_cache(more.evidence, self.evidence, (lost, gained))
             if self.form.ar_coefficient:
                 before, judged = self.judged, more.judged
-                judged.with_updated_cache(
-                    before, before.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self))
-                )
+                rows = before.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self))
+                take_over_cache(judged, before, rows)
         return more
 
     @property
@@ -313,9 +312,9 @@ class Case:
         near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHO_GRID))))
         whole = replace(self.whole, cause_prior=cause_prior, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
-        more.evidence.with_extended_cache(self.evidence)
+        take_over_cache(more.evidence, self.evidence)
         if self.form is not WHITE_FORM:
-            more.judged.with_extended_cache(self.judged)
+            take_over_cache(more.judged, self.judged)
         return more, learnt
 
     def sizes(self, columns: Array) -> Array:
@@ -377,13 +376,11 @@ class Case:
         )
         more, evidence = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
         more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
-        more._with_evidence(
-            replace(evidence, E=E.at(np.flatnonzero(self.inliers)), cause_prior=cause_prior).with_extended_cache(
-                evidence
-            )
-        )
+        own = replace(evidence, E=E.at(np.flatnonzero(self.inliers)), cause_prior=cause_prior)
+        take_over_cache(own, evidence)
+        more._with_evidence(own)
         if self.form is not WHITE_FORM:
-            more.judged.with_extended_cache(self.judged)
+            take_over_cache(more.judged, self.judged)
         return more
 
 
@@ -458,6 +455,8 @@ def _problem(
     declared = lengths[0] if any(m.sigma for m in seen.sets) else 0.0
     each = zip(seen.sets, lengths, strict=True)
     sheet = 0.0 if declared else min((m.datasheet * lengths[0] / own for m, own in each if m.datasheet), default=0.0)
+    # Poses at equal readings are one stop, where several targets share stops.
+    stop, several = same_readings(seen.m.q), sum(name.startswith("tool_") for name in seen.m.conditions) > 1
     # Repeated poses count for at most 60 degrees of freedom, because poses that are measured one
     # after the other share slow errors.
     whole = Evidence(
@@ -473,23 +472,13 @@ def _problem(
         ),
         measured=seen.measured,
         size=seen.size,
-        stop=_shared_stops(seen.m),
+        stop=stop if several and stop.max() + 1 < len(stop) else None,
         alike=seen.alike,
         unsure=unsure_tables(seen),
     )
     if not seen.plain:
         whole = replace(whole, reference=max(residual_sd, float(SIGMA_GRID_M[0])))
     return inliers, *BaseParameters.restricted(whole)
-
-
-def _shared_stops(m: Measurements) -> Array | None:
-    """Return the index of each pose's stop, shape (n,), where several targets share stops, else None.
-
-    Poses at equal readings are one stop.
-    """
-    stop = same_readings(m.q)
-    several = sum(name.startswith("tool_") for name in m.conditions) > 1
-    return stop if several and stop.max() + 1 < len(stop) else None
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:

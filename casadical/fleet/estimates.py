@@ -282,7 +282,13 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
         estimates[ungrouped[0]] = _with_noise_of_file(campaigns[ungrouped[0]], held_out)
         return estimates
     while ungrouped:
-        group = [k for k in ungrouped if _may_share_instrument(campaigns[ungrouped[0]], campaigns[k])]
+        first, group = campaigns[ungrouped[0]], []
+        for k in ungrouped:
+            (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (first, campaigns[k]))
+            chances = fdtrc(f, g, (s / t / MAX_SIGMA_RATIO) ** 2), fdtrc(g, f, (t / s / MAX_SIGMA_RATIO) ** 2)
+            # An F test at a level of 1 %: may their sigmas be those of one instrument?
+            if min(chances) > 0.01 and _places_of_robot(first).keys() == _places_of_robot(campaigns[k]).keys():
+                group.append(k)
         ungrouped = [k for k in ungrouped if k not in group]
         for k, own in zip(group, _with_pooled_noise([campaigns[k] for k in group]), strict=True):
             estimates[k] = own
@@ -312,18 +318,6 @@ def _with_noise_of_file(c: Estimate, held_out: tuple[float, int] | None) -> Esti
         freedom=freedom + more,
         notes=(*c.notes, note),
     )
-
-
-def _may_share_instrument(a: Estimate, b: Estimate) -> bool:
-    """Return whether one instrument may have measured two campaigns, by an F test of residuals.
-
-    The ratio of their sigmas must not significantly exceed `MAX_SIGMA_RATIO`, and their parameters
-    must be the same but for those of the tool.
-    """
-    (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (a, b))
-    chances = fdtrc(f, g, (s / t / MAX_SIGMA_RATIO) ** 2), fdtrc(g, f, (t / s / MAX_SIGMA_RATIO) ** 2)
-    # Level of significance of the F test.
-    return min(chances) > 0.01 and _places_of_robot(a).keys() == _places_of_robot(b).keys()
 
 
 def _places_of_robot(c: Estimate) -> dict[str, int]:

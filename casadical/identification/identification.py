@@ -122,7 +122,13 @@ def prepare(
     tool_turns : whether the orientation of an unknown tool is free where orientations were measured
     Raises InputError for measurements or a method that cannot be used.
     """
-    sets = _sets_of(measurements)
+    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
+    wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
+    if wrong or not sets:
+        raise InputError(
+            f"measurements are {wrong[0] if wrong else 'an empty list'}; "
+            "allowed: one or several Measurements (see from_table, read_measurements)"
+        )
     if isinstance(prior, Robot):
         robot, prior = carry_over(robot, prior)
     given = prior or Prior()
@@ -146,18 +152,6 @@ def prepare(
         turned = frame(place_frames(robot, oriented).tool.T[:3, :3], robot.tool.T[:3, 3])
         robot = replace(robot, tool=replace(robot.tool, T=turned))
     return Prepared(robot, sets, (*free, *sessions), given, knowledge, method)
-
-
-def _sets_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the measurements as a tuple of sets. Raises InputError for anything else."""
-    sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
-    wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
-    if wrong or not sets:
-        raise InputError(
-            f"measurements are {wrong[0] if wrong else 'an empty list'}; "
-            "allowed: one or several Measurements (see from_table, read_measurements)"
-        )
-    return sets
 
 
 def with_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:

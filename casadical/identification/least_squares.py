@@ -16,13 +16,12 @@ from itertools import chain
 import casadi as ca
 import numpy as np
 
-from casadical.core.basics import Array
+from casadical.core.basics import M_PER_MM, Array
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_solution
 from casadical.identification.residuals import (
     MAX_CACHED_DATA_POSES,
-    POINT_SCALE,
     Block,
     Loss,
     loss_slope,
@@ -424,7 +423,7 @@ class LeastSquares:
             if self.residual_count <= self.max_cached_values:
                 residuals.append((k, r))
             if triangle:
-                R = _with_rows(R, J)
+                R = np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
             flat = r.ravel()
             square += (own := float(flat @ flat))
             loss = self.loss_of(k)
@@ -514,7 +513,7 @@ class LeastSquares:
         for k, m in enumerate(self.sets):
             for first, second, length in m.separations:
                 i, j = self.labels.index(f"{k}/{first}"), self.labels.index(f"{k}/{second}")
-                apart = ca.DM(self.points[i] - self.points[j]) + POINT_SCALE * (u[:, i] - u[:, j])
+                apart = ca.DM(self.points[i] - self.points[j]) + M_PER_MM * (u[:, i] - u[:, j])
                 rows.append((ca.norm_2(apart) - length) / m.separation_sigma)
         return ca.vertcat(*rows) if rows else ca.MX.zeros(0)
 
@@ -644,11 +643,6 @@ class Linearised(LeastSquares):
                 unit = np.repeat(ratios[k], [kinds[k].lengths, kinds[k].angles])
                 r, J = r * unit, (J.reshape(len(r), len(unit), -1) * unit[:, None]).reshape(J.shape)
             yield k, r, J
-
-
-def _with_rows(R: Array, J: Array) -> Array:
-    """Return the triangular QR factor of the rows of R followed by those of J, shape (k, size)."""
-    return np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
 
 
 def initial_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:

@@ -12,7 +12,7 @@ from functools import partial, reduce
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.core.statistics import first_of_best
@@ -41,8 +41,6 @@ REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
 # Residuals and Jacobians are cached for up to this number of poses; those of larger sets are
 # evaluated again in each pass.
 MAX_CACHED_POSES = 10_000
-# Metres in a millimetre.
-_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,7 @@ def wide_fit(found: Identification, max_cached: int = MAX_CACHED_POSES) -> WideF
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
     plain = _normal_equations((0.0,) * poses.joints, poses)[0][0].moved(mean)
     freedom = max(1.0, poses.count - fitted)
-    return WideFit(robot, doubts, poses, best, times, _MM * float(np.sqrt(plain.square / freedom)), freedom)
+    return WideFit(robot, doubts, poses, best, times, M_PER_MM * float(np.sqrt(plain.square / freedom)), freedom)
 
 
 def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterator[_Rows]:
@@ -205,7 +203,7 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
     together: list[tuple[Array, ...]] = []
     for k, (m, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
         at = np.array([number[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)], dtype=int)
-        length, angle = (_MM * sigma / first for sigma in sigmas)
+        length, angle = (M_PER_MM * sigma / first for sigma in sigmas)
         group = at if at.size else np.zeros(len(m), dtype=int)
         block = make_block(robot, m, names, length, angle, points, group)
         for some, r, J in block.parts(np.zeros(len(names)), np.zeros_like(points)):

@@ -154,7 +154,8 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
     beyond = sorted({int(row) for model in drawn for row in some.row[model.length > top]})
     marks = []
     if beyond:
-        text = f"triangles: beyond the axis, row{'s' if beyond[1:] else ''} {_few(beyond)}"
+        more = f" and {len(beyond) - 4} more" if beyond[4:] else ""
+        text = f"triangles: beyond the axis, row{'s' if beyond[1:] else ''} {', '.join(map(str, beyond[:4]))}{more}"
         marks.append(Note(text, 0, 1, "xy", "above", colour="muted", size=11))
     title = f"row, {len(some)} of {len(poses)} drawn" if len(some) < len(poses) else f"row of {_short(poses.source)}"
     x, y = Axis(title, ends, count=8, whole=True, grid=False), Axis("error [mm]", (0, 1.06e3 * top))
@@ -182,11 +183,6 @@ def _points(some: PoseErrors, model: ModelErrors, low: float, top: float, size: 
         facts=1e3 * model.length.round(8),
         tip=f"<b>{model.words}</b>, row %{{x}}: %{{customdata:.3f}} mm",
     )
-
-
-def _few(rows: Sequence[int], most: int = 4) -> str:
-    """Return the first `most` row numbers as text, followed by the number of the others."""
-    return ", ".join(map(str, rows[:most])) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
 def _short(source: str) -> str:

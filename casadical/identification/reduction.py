@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from casadical.core.basics import Array, ConvergenceError, InputError
+from casadical.core.basics import M_PER_MM, Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
 from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.identifiability import (
@@ -22,7 +22,6 @@ from casadical.identification.identifiability import (
 )
 from casadical.identification.least_squares import MANY_PARAMETERS, LeastSquares, Linearised
 from casadical.identification.plausibility import undefined
-from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.camera_noise import refined
 from casadical.measurements.kinds.registry import find_kind
@@ -278,9 +277,9 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     fitted, solution, _ = solved
     whole = replace(fitted, sets=_with_noise_of(fitted, problem.sets))
     x, u = fitted.separate(solution.v)
-    fitted_points = dict(zip(fitted.labels, fitted.points + POINT_SCALE * u, strict=True))
+    fitted_points = dict(zip(fitted.labels, fitted.points + M_PER_MM * u, strict=True))
     places = [fitted_points.get(name, start) for name, start in zip(whole.labels, whole.points, strict=True)]
-    v = np.concatenate([x, ((np.array(places).reshape(-1, 3) - whole.points) / POINT_SCALE).ravel()])
+    v = np.concatenate([x, ((np.array(places).reshape(-1, 3) - whole.points) / M_PER_MM).ravel()])
     spread = [
         robust_std(r / np.sqrt(np.maximum(f, MIN_REDUNDANCY)))
         for r, f in _residuals_with_redundancies(fitted, solution)
@@ -518,7 +517,7 @@ def _scale_is_free(problem: LeastSquares) -> bool:
     lengths = np.array([_length(problem, n) for n in problem.names]) / problem.scale
     of = {name: find_kind(m.kind) for k, m in enumerate(problem.sets) for name in problem.pose_labels(k)}
     places, origin = zip(problem.labels, problem.points, strict=True), problem.robot.base.T[:3, 3]
-    moved = [of[name].grown(point[None], origin).ravel() / POINT_SCALE for name, point in places]
+    moved = [of[name].grown(point[None], origin).ravel() / M_PER_MM for name, point in places]
     growth = np.concatenate([lengths, *moved])
     r = np.concatenate([part.ravel() for part in residuals])
     robot_alone = np.linalg.norm(J[:, : lengths.size] @ lengths)

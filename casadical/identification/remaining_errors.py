@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.reduction import MIN_NOISE_FREEDOM
@@ -34,8 +34,6 @@ MAX_POSES_LEARNT = 20_000
 # Number of iterations of expectation maximisation; prior variances that the poses do not determine
 # are still near their initial values then.
 EM_ITERATIONS = 12
-# Metres in a millimetre.
-_MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +85,7 @@ def learn_remaining(found: Identification, most: int = MAX_POSES_LEARNT) -> Rema
     anywhere = anywhere[np.isfinite(anywhere).all(axis=(1, 2))]
     factor = _truncated_factor(M, 3 * s2, np.concatenate([J, anywhere]))
     scale = np.array([robot.parameters[n].scale for n in doubts.names])
-    return RemainingErrors(doubts.names, scale[:, None] * factor, float(_MM * np.sqrt(3 * s2)), poses)
+    return RemainingErrors(doubts.names, scale[:, None] * factor, float(M_PER_MM * np.sqrt(3 * s2)), poses)
 
 
 def uncertain_parameters_of(robot: Robot, solved: Sequence[str]) -> UncertainParameters:
@@ -115,7 +113,7 @@ def residuals_and_jacobian(robot: Robot, sets: Iterable[Measurements], names: tu
     sets : measurements of the poses, n in all; names : the k parameters
     """
     none = np.zeros((0, 3))
-    blocks = (make_block(robot, m, names, _MM, 1.0, none, np.zeros(len(m), dtype=int)) for m in sets)
+    blocks = (make_block(robot, m, names, M_PER_MM, 1.0, none, np.zeros(len(m), dtype=int)) for m in sets)
     both = zip(*(block.evaluate(np.zeros(len(names)), none) for block in blocks), strict=True)
     r, J = map(np.concatenate, both)
     return r, J

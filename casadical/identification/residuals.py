@@ -13,7 +13,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.mapped_function import MAX_CHUNK_POINTS, MappedFunction
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.position import Position
@@ -32,8 +32,6 @@ AnyLoss = Literal["auto", Loss]
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
 # Names of all losses, and "auto", as an identification accepts them.
 ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", *LOSSES)
-# Unit of the variables of an unknown point: a variable of 1 is this length [m].
-POINT_SCALE = 1e-3
 # The inputs of the residual function are cached for sets of up to this number of poses; those of
 # larger sets are assembled again at each evaluation.
 MAX_CACHED_DATA_POSES = 100_000
@@ -43,30 +41,15 @@ MAX_CACHED_DATA_POSES = 100_000
 LOSS_KNEE_SQUARE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
-def _huber(s: Array, knee: float) -> tuple[Array, Array]:
-    """Return Huber's loss of squared residuals s and its derivative by s, each shaped as s.
-
-    knee : squared residual up to which the loss is s itself
-    """
-    root = np.sqrt(np.maximum(s, knee) * knee)
-    return np.where(s <= knee, s, 2 * root - knee), knee / root
-
-
-def _soft_l1(s: Array, knee: float) -> tuple[Array, Array]:
-    """Return the soft L1 loss of squared residuals s and its derivative by s, each shaped as s.
-
-    knee : squared residual at which the loss departs clearly from s
-    """
-    root = np.sqrt(1 + s / knee)
-    return 2 * knee * (root - 1), 1 / root
-
-
 # Name of a loss -> function of squared residuals s and a knee, with the loss rho(s) and rho'(s) as
 # values (Triggs et al. 2000, without the second-order term).
 _LOSS_AND_SLOPE: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
     "linear": lambda s, _: (s, np.ones_like(s)),
-    "huber": _huber,
-    "soft_l1": _soft_l1,
+    "huber": lambda s, knee: (
+        np.where(s <= knee, s, 2 * np.sqrt(np.maximum(s, knee) * knee) - knee),
+        knee / np.sqrt(np.maximum(s, knee) * knee),
+    ),
+    "soft_l1": lambda s, knee: (2 * knee * (np.sqrt(1 + s / knee) - 1), 1 / np.sqrt(1 + s / knee)),
 }
 
 
@@ -102,7 +85,7 @@ class PoseFunctions:
         phi[[*chosen]] += scale * x
         q, w = ca.SX.sym("q", model.q.numel()), ca.SX.sym("w", model.w.numel())
         function, loaded = model.function("p", "R"), nominal if fixed_loads else phi
-        pose = PoseExpression(lambda at: function(at, w, phi, constants, loaded), q, POINT_SCALE * u if point else None)
+        pose = PoseExpression(lambda at: function(at, w, phi, constants, loaded), q, M_PER_MM * u if point else None)
         r = kind.residual(pose)
         if r.numel() != kind.numbers:
             raise InputError(f"kind {kind.name!r}: its residual has {r.numel()} numbers; it observes {kind.numbers}")

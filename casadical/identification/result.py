@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import chdtri, stdtrit
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.reporting.blocks import Table, Words, mm
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key
 from casadical.core.reporting.result import Result
@@ -34,7 +34,7 @@ from casadical.identification.reduction import (
     OUTLIER_PROBABILITY,
     solve_without_outliers,
 )
-from casadical.identification.residuals import POINT_SCALE, Loss, make_block
+from casadical.identification.residuals import Loss, make_block
 from casadical.identification.solver import Solution
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -343,7 +343,7 @@ class Identification(Result):
         A label is "set index/point name", such as "0/A".
         """
         _, u = self.problem.separate(self.solution.v)
-        return dict(zip(self.problem.labels, self.problem.points + POINT_SCALE * u, strict=True))
+        return dict(zip(self.problem.labels, self.problem.points + M_PER_MM * u, strict=True))
 
     @property
     def sigmas(self) -> tuple[tuple[float, float], ...]:

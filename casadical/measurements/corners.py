@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.transforms import frame
 
 # Columns of the camera's intrinsics: focal lengths and principal point [px], and the coefficients of distortion.
@@ -113,21 +114,15 @@ class Images(NamedTuple):
 
     def _fitted(self, T: Array, steps: int) -> Array:
         """Return the poses, (n, 4, 4), that at most so many Levenberg-Marquardt steps reach from T."""
-        damping, cost, tried = np.full(len(T), 1e-3), np.full(len(T), np.inf), T
-        H, g = np.zeros((len(T), 6, 6)), np.zeros((len(T), 6))
-        for _ in range(steps + 1):
-            r, J = self.residuals(tried)
-            better = (r**2).sum(axis=1) <= cost
-            T, cost = np.where(better[:, None, None], tried, T), np.where(better, (r**2).sum(axis=1), cost)
+
+        def evaluate(flat: Array) -> Evaluated:
+            r, J = self.residuals(flat.reshape(-1, 4, 4))
             J = J[..., :6]
-            H = np.where(better[:, None, None], J.transpose(0, 2, 1) @ J, H)
-            g = np.where(better[:, None], (r[:, None] @ J)[:, 0], g)
-            damping = np.where(better, damping / 10, damping * 10)
-            step = np.linalg.solve(H * (1 + damping[:, None, None] * np.eye(6)), g[..., None])[..., 0]
-            if np.abs(step).max() < 1e-9:
-                break
-            tried = _moved(T, step)
-        return np.asarray(T)
+            return (r**2).sum(axis=1), lambda k: (J[k].transpose(0, 2, 1) @ J[k], (r[k, None] @ J[k])[:, 0])
+
+        move = lambda flat, step: _moved(flat.reshape(-1, 4, 4), step).reshape(flat.shape)  # noqa: E731
+        best, _ = levenberg_marquardt(evaluate, T.reshape(-1, 16), steps + 1, move=move, least_gain=1e-12)
+        return best.reshape(T.shape)
 
     def _start(self, k: int) -> Array:
         """Return the pose of the board in the camera, (4, 4), by the homography of its corners at station k."""

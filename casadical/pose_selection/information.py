@@ -10,7 +10,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares
@@ -19,8 +19,6 @@ from casadical.identification.reduction import independent_parameters
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Metres per millimetre.
-MM = 1e-3
 # Largest number of poses whose Jacobians are computed at a time: larger problems would be compiled
 # for a single use. As many candidates show which parameters are identifiable.
 MAX_POSES_PER_PART = 1000
@@ -36,7 +34,7 @@ def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Arra
     parts = [
         m[np.arange(start, min(start + MAX_POSES_PER_PART, len(m)))] for start in range(0, len(m), MAX_POSES_PER_PART)
     ]
-    problems = (LeastSquares(robot, (part,), tuple(names), "linear", False, ((MM, MM),)) for part in parts)
+    problems = (LeastSquares(robot, (part,), tuple(names), "linear", False, ((M_PER_MM, M_PER_MM),)) for part in parts)
     jacobians = [problem.evaluate(np.zeros(len(names)))[1] for problem in problems]
     return np.asarray(np.concatenate(jacobians).reshape(len(m), 3, -1))
 
@@ -69,8 +67,8 @@ def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
     It is the sum of the instrument's and of the joint repeatability's, in the measuring frame.
     """
     joints = {"repeatability": joint_jacobian(robot, m)} if noise.repeatability else {}
-    ratios = dict.fromkeys(joints, noise.repeatability / MM)
-    return NoiseModel((len(m), 3), joints).covariance(ratios, noise.sigma / MM)
+    ratios = dict.fromkeys(joints, noise.repeatability / M_PER_MM)
+    return NoiseModel((len(m), 3), joints).covariance(ratios, noise.sigma / M_PER_MM)
 
 
 def independent(
@@ -94,7 +92,7 @@ def independent(
     prior : prior of another campaign
     Raises InputError: no parameter remains.
     """
-    problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
+    problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((M_PER_MM, M_PER_MM),) * len(sets))
     analysis = independent_parameters(problem)
     identifiable = list(analysis.independent)
     if prior is not None:

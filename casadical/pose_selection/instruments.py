@@ -15,11 +15,10 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import predicted
-from casadical.identification.residuals import POINT_SCALE
 from casadical.measurements.measurements import Measurements, Noise, unmeasured
 from casadical.pose_selection.candidates import SOCKET_COLUMN, draw
 from casadical.pose_selection.experimental_design import inverse
@@ -80,7 +79,7 @@ class Instrument:
         """Return the whitened Jacobian of readings, shape (n, numbers, len(names) + extra).
 
         It is in standard deviations of the noise per unit of scale, and for the unknown places per
-        `POINT_SCALE`; it is taken at the robot's values.
+        millimetre; it is taken at the robot's values.
 
         m : poses with model positions, for sockets with the column `SOCKET_COLUMN`
         noise : noise of a distance, or of a coordinate in a socket, and of the joints
@@ -101,7 +100,7 @@ class Instrument:
             places = places.reshape(n, k, 3 * k)
             covariance = beam @ covariance @ beam.transpose(0, 2, 1)
         whole = seen if self.surveyed else np.concatenate([seen, places], axis=2)
-        own = (noise.sigma / POINT_SCALE) ** 2 * np.eye(self.numbers)
+        own = (noise.sigma / M_PER_MM) ** 2 * np.eye(self.numbers)
         return np.asarray(whitening_of(covariance + own)[0] @ whole)
 
     def table(self, m: Measurements) -> pd.DataFrame:
@@ -116,7 +115,7 @@ class Instrument:
         """Return the information matrix without any pose, shape (size, size).
 
         It is that of one given distance between the two sockets farthest apart, per squared
-        `POINT_SCALE`; for wires and measured places it is zero.
+        millimetre; for wires and measured places it is zero.
 
         size : number of all variables, the places' coordinates at the end
         noise : its sigma is that of the distance
@@ -128,7 +127,7 @@ class Instrument:
         line = self.places[i] - self.places[j]
         g = np.zeros((len(self.places), 3))
         g[i], g[j] = line / np.linalg.norm(line), -line / np.linalg.norm(line)
-        row = np.concatenate([np.zeros(size - g.size), g.ravel()]) * POINT_SCALE / noise.sigma
+        row = np.concatenate([np.zeros(size - g.size), g.ravel()]) * M_PER_MM / noise.sigma
         return np.outer(row, row)
 
 

@@ -12,14 +12,13 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.reporting.result import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import Circumstances, candidates_at, reachable_places
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import improve, inverse, search
-from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument, best_places
 from casadical.pose_selection.selection import Selection, in_measuring_order
 from casadical.pose_selection.workspace import Workspace
@@ -248,7 +247,7 @@ def forecast(
     poses, error = [], []
     while True:
         poses.append(before + each * len(design.chosen))
-        error.append(MM * float(np.sqrt(np.sum(problem.weight * inverse(design.M)))))
+        error.append(M_PER_MM * float(np.sqrt(np.sum(problem.weight * inverse(design.M)))))
         k = design.best_to_add()
         if k is None or poses[-1] + each > most:
             return Forecast(np.array(poses), np.array(error))

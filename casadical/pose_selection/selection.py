@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array
+from casadical.core.basics import M_PER_MM, Array
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.reporting.result import Shown
 from casadical.core.statistics import TIE_TOLERANCE, first_of_best
@@ -28,7 +28,6 @@ from casadical.pose_selection.candidates import (
 from casadical.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import (
-    MM,
     noise_covariance,
     prior_information,
     scaled_jacobian,
@@ -214,7 +213,7 @@ class Selection(DesignProblem, Shown):
         m : the poses; None: the task
         """
         J = jacobian_of(self.robot, self.names, self.task if m is None else m, self.instrument)
-        return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
+        return np.asarray(M_PER_MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
 
     @cached_property
     def accuracy(self) -> float:
@@ -229,7 +228,7 @@ class Selection(DesignProblem, Shown):
         """
         if self.instrument is not None:
             return None
-        noise = MM**2 * np.trace(noise_covariance(self.robot, self.task, self.noise), axis1=1, axis2=2).mean()
+        noise = M_PER_MM**2 * np.trace(noise_covariance(self.robot, self.task, self.noise), axis1=1, axis2=2).mean()
         return float(np.sqrt(self.accuracy**2 + noise))
 
     @property

@@ -10,18 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Columns, Combined
 from casadical.core.linear_gaussian.grid import log_gain
+from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, CachedRows, GridSums
-
-if TYPE_CHECKING:
-    from casadical.core.linear_gaussian.model import LinearModel
 
 # Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
 # wide group of columns; the search over points ends at the first that exceeds it.
@@ -312,6 +309,26 @@ class Marginals:
         V = every.combine(chosen.axes(k, group).T)
         value, vector = np.linalg.eigh(self.sums.wide_gram_matrix(group, k) - V.T @ V)
         return value, vector.T @ every.combine(chosen.b[k][group][:, 0])
+
+
+def marginals_of(model: LinearModel) -> Marginals:
+    """Return the marginal likelihoods of groups of a model's columns, which are cached in the model."""
+    if "marginals" not in model.cache:
+        model.cache["marginals"] = Marginals(model)
+    cached: Marginals = model.cache["marginals"]
+    return cached
+
+
+def take_over_cache(model: LinearModel, other: LinearModel, changed: Sequence[LinearModel] = ()) -> None:
+    """Give a model the cached marginal likelihoods of another one, brought up to date.
+
+    other : model with the same blocks and the first of these columns, or with other blocks
+    changed : model of the blocks that `other` has and `model` has not, and model of the blocks that
+        `model` has and `other` has not; empty: the blocks are the same
+    """
+    if "marginals" in other.cache:
+        own = marginals_of(other)
+        model.cache["marginals"] = own.moved(model, *changed) if changed else own.extended(model)
 
 
 def loss_of_finer_noise(model: LinearModel, log_base: Array) -> Array:

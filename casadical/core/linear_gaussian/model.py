@@ -12,7 +12,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Combined, MemoryLimits, array_columns, combined
 from casadical.core.linear_gaussian.grid import Grid
-from casadical.core.linear_gaussian.marginals import Marginals
 from casadical.core.linear_gaussian.noise import NoiseModel, Ratio
 
 
@@ -121,33 +120,6 @@ class LinearModel:
         """
         J, delta0 = np.concatenate([self.J, columns], axis=2), np.pad(self.delta0, (0, len(prior)))
         return replace(self, J=J, delta0=delta0, prior=np.append(self.prior, prior))
-
-    @property
-    def marginals(self) -> Marginals:
-        """Return the marginal likelihoods of groups of columns, which are cached."""
-        if "marginals" not in self.cache:
-            self.cache["marginals"] = Marginals(self)
-        cached: Marginals = self.cache["marginals"]
-        return cached
-
-    def with_extended_cache(self, other: LinearModel) -> Self:
-        """Return this model, with the cached results of `other` taken over.
-
-        other : model with the same blocks and the first of these columns
-        """
-        if "marginals" in other.cache:
-            self.cache["marginals"] = other.marginals.extended(self)
-        return self
-
-    def with_updated_cache(self, other: LinearModel, lost: LinearModel, gained: LinearModel) -> Self:
-        """Return this model, with the cached results of a model with other blocks, updated.
-
-        lost : model of the blocks that `other` has and this one has not
-        gained : model of the blocks that this one has and `other` has not
-        """
-        if "marginals" in other.cache:
-            self.cache["marginals"] = other.marginals.moved(self, lost, gained)
-        return self
 
     @cached_property
     def absorbed_by_base(self) -> float:

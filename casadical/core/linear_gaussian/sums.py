@@ -10,16 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Factors, as_slice, combined
+from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.noise import Axes
-
-if TYPE_CHECKING:
-    from casadical.core.linear_gaussian.model import LinearModel
 
 # Largest number of columns of a narrow group. The Gram matrices of narrow groups are accumulated
 # together at all grid points, those of wider ones one by one.

@@ -15,6 +15,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns
+from casadical.core.linear_gaussian.marginals import marginals_of
 from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
@@ -190,7 +191,7 @@ class LawProblem:
         columns : those of each law, shape (n, 3, K, w)
         """
         every = self.white(columns.reshape(*columns.shape[:2], -1))
-        judged = self.evidence.marginals.with_other_columns(array_columns(every), CAUSE_PRIOR_SIGMA)
+        judged = marginals_of(self.evidence).with_other_columns(array_columns(every), CAUSE_PRIOR_SIGMA)
         groups = list(np.arange(every.shape[2]).reshape(columns.shape[2:]))
         grids = np.asarray(judged.log_grids(groups) + np.log(KAPPA_WEIGHTS))
         none = float(np.logaddexp.reduce(self.evidence.log_base(), axis=None))

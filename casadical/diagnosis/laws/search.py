@@ -20,7 +20,7 @@ from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import RHO_GRID
-from casadical.diagnosis.laws.candidates import LawCandidate, LawProblem, ScoredLaw, descriptions
+from casadical.diagnosis.laws.candidates import LawProblem, ScoredLaw, descriptions
 from casadical.diagnosis.laws.forms import SMOOTH_FORM, StateVariable
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form as NoiseForm
@@ -127,7 +127,14 @@ def ranked_laws(
     if not smooth or smooth[0].score + np.log(PRIOR_FIRST["unknown"]) < needed - 30.0:
         return None
     near = [s for s in smooth if s.score > smooth[0].score - 12.0][:12]
-    forms = _by_score(problem.judged(_forms(near)))
+    # The forms of a state variable share half of its prior.
+    others = {function: function.others() for function in {s.candidate.function: None for s in near}}
+    shared = [
+        replace(c, function=f, log_prior=c.log_prior - float(np.log(2 * len(others[c.function]))))
+        for c in (s.candidate for s in near)
+        for f in others[c.function]
+    ]
+    forms = _by_score(problem.judged(shared))
     forms = [problem.refined(s) for s in forms[:6]] + forms[6:]
     split = {f.candidate.driven for f in forms}
     halved = [replace(s, score=s.score - float(np.log(2))) if s.candidate.driven in split else s for s in smooth]
@@ -147,17 +154,6 @@ def ranked_laws(
 def _by_score(laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
     """Return laws by score, the best first."""
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
-
-
-def _forms(descriptions: Sequence[ScoredLaw]) -> list[LawCandidate]:
-    """Return the forms of the state variables of descriptions; they share half of their prior."""
-    every = [s.candidate for s in descriptions]
-    functions = {function: function.others() for function in {c.function: None for c in every}}
-    forms = []
-    for c in every:
-        own = functions[c.function]
-        forms += [replace(c, function=f, log_prior=c.log_prior - float(np.log(2 * len(own)))) for f in own]
-    return forms
 
 
 def _with_laws(ranking: Ranking, laws: Sequence[ScoredLaw], chosen: Array) -> Ranking:

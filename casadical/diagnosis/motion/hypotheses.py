@@ -74,7 +74,10 @@ def _simulated(
 ) -> Iterator[tuple[Candidate, list[Signals]]]:
     """Yield each variant of each hypothesis with its columns by simulation."""
     view = replay.view
-    pairs = [_both_ways(view, effect) for _, effect in effects]
+    pairs = []  # signals of each cause while all joints slide one way, and the other
+    for _, cause in effects:
+        plus = signals_of(view, cause, 1.0)
+        pairs.append((plus, signals_of(view, cause, -1.0) if {"slip", "friction"} & {*cause.drivers} else plus))
     torques = [replace(r, kind="torque") for r in problem.rows]
     scale = (0.5 * np.exp(x[:, 2] - x[:, 0]) / view.peak_torque) ** 2
     rivals = smooth_functions(view, torques, scale)
@@ -90,9 +93,3 @@ def _simulated(
     for j, column in saturation_columns(replay, x):
         effect = ((kind(j + 1),),)
         yield Candidate(f"saturation@{j + 1}", "saturation", j + 1, effect), [column]
-
-
-def _both_ways(view: LogView, effect: DefinedEffect) -> tuple[list[Signals], list[Signals]]:
-    """Return the signals of a cause while all joints slide one way, and the other."""
-    plus = signals_of(view, effect, 1.0)
-    return plus, signals_of(view, effect, -1.0) if {"slip", "friction"} & {*effect.drivers} else plus

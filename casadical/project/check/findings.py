@@ -101,7 +101,12 @@ def data_findings(robot: Robot, m: Measurements, table: Measurements, *, repeate
     repeated_readings : whether an earlier table had the same readings, so that findings on them are
         omitted
     """
-    findings = [] if repeated_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
+    findings = [] if repeated_readings else _coverage_findings(robot, m)
+    smallest = None if repeated_readings else margin(robot, m)
+    if smallest is not None and MIN_LOOP_MARGIN <= smallest < 5 * MIN_LOOP_MARGIN:
+        text = f"nearly folded in some pose (margin {smallest:.3f}; 1 is square, {MIN_LOOP_MARGIN} refused)"
+        text = f"{m.source}: the four-bar is {text}; small errors of the bars count much there"
+        findings.append(Finding("warning", "four-bar", text))
     if computed(robot, m):
         text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
         findings.append(Finding("warning", "data", text))
@@ -152,15 +157,6 @@ def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
                 Finding("warning", "coverage", f"{m.source}: {text}; expect little beyond these readings{doubt}")
             )
     return findings
-
-
-def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    """Return a finding if a four-bar is nearly folded in some pose, else []."""
-    smallest = margin(robot, m)
-    if smallest is None or not MIN_LOOP_MARGIN <= smallest < 5 * MIN_LOOP_MARGIN:
-        return []
-    text = f"the four-bar is nearly folded in some pose (margin {smallest:.3f}; 1 is square, {MIN_LOOP_MARGIN} refused)"
-    return [Finding("warning", "four-bar", f"{m.source}: {text}; small errors of the bars count much there")]
 
 
 def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:

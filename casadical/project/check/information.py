@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from casadical.core.basics import Array
+from casadical.core.basics import M_PER_MM, Array
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.identification.identifiability import Unidentifiable, drop_poor
@@ -22,7 +22,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace
 from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.information import MM, scaled_jacobian
+from casadical.pose_selection.information import scaled_jacobian
 from casadical.robot.robot import Robot
 
 
@@ -127,7 +127,7 @@ def outlook(
     if identified:  # rms position error over the joint ranges
         task = expected(robot, draw(robot, 200, Workspace(), np.random.default_rng(seed)), {}, "task")
         J = scaled_jacobian(robot, identified, task)
-        accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
+        accuracy = M_PER_MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
     return Outlook(
         method,
         identified,

@@ -13,16 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import gain
-from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.core.basics import M_PER_MM, Array
+from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.identification.sessions import SESSION_PREFIX, place_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.information import MM, scaled_jacobian
+from casadical.pose_selection.information import scaled_jacobian
 from casadical.pose_selection.instruments import without_base
 from casadical.robot.robot import Robot
 
@@ -111,10 +110,10 @@ class Estimate:
         at, p = {name: k for k, name in enumerate(self.points)}, len(self.names)
         column = [p + 3 * at[name] + i for name in seen.points for i in range(3)]
         C = self.covariance[np.ix_([*range(p), *column], [*range(p), *column])]
-        off[rows], square[rows] = MM * seen.off[:, : kind.lengths], np.inf
+        off[rows], square[rows] = M_PER_MM * seen.off[:, : kind.lengths], np.inf
         closed = np.isfinite(seen.off).all(axis=1) & np.isfinite(seen.J).all(axis=(1, 2))
         J, r = seen.J[closed], seen.off[closed]
-        C = J @ C @ J.transpose(0, 2, 1) + (self.sigma / MM) ** 2 * np.eye(J.shape[1])
+        C = J @ C @ J.transpose(0, 2, 1) + (self.sigma / M_PER_MM) ** 2 * np.eye(J.shape[1])
         square[rows[closed]] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
         return off, square
 
@@ -127,7 +126,9 @@ class Estimate:
         base = [k for k, name in enumerate(self.names) if self.robot.parameters[name].group == "base"]
         if not base or self.covariance[base, base].max() > MAX_PREDICTION_SIGMA_MM**2:
             J = without_base(self.robot, J, task)
-        return MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, self.covariance[:p, :p], J, optimize=True) / len(J)))
+        return M_PER_MM * float(
+            np.sqrt(np.einsum("kip,pq,kiq->", J, self.covariance[:p, :p], J, optimize=True) / len(J))
+        )
 
 
 def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
@@ -159,7 +160,7 @@ def linearised(
     points : unknown points by label in the measuring frame [m]; None: as estimated from the robot's
         positions
     """
-    problem = LeastSquares(robot, (m,), names, "linear", False, ((MM, MM * ratio),))
+    problem = LeastSquares(robot, (m,), names, "linear", False, ((M_PER_MM, M_PER_MM * ratio),))
     labels = list(dict.fromkeys(labels_of(m)))
     if points is not None:
         problem = problem.from_points(np.array([points[name] for name in labels]).reshape(-1, 3))
@@ -168,7 +169,7 @@ def linearised(
         R = predicted(robot, m)[1]
         R = R if m.other is None else predicted(robot, replace(m, q=m.other))[1].transpose(0, 2, 1) @ R
         turned = np.einsum("nij,nij->n", R, turn) < 1.0  # the sine is blind to half a turn
-        r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (MM * ratio), r)
+        r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (M_PER_MM * ratio), r)
     separated = (-apart[0].ravel() if apart else np.zeros(0), J[r.size :])
     return LinearisedReadings(
         -r, J[: r.size].reshape(*r.shape, -1), dict(zip(labels, problem.points, strict=True)), separated
@@ -195,7 +196,7 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     # is wide enough to leave them free.
     free_sigma = 1e3
     frames = [p.group in FRAME_GROUPS or (p.name.startswith(SESSION_PREFIX) and ".zero" not in p.name) for p in own]
-    free = np.concatenate([np.where(frames, free_sigma * MM / scale, 0.0), np.full(3 * len(start), free_sigma)])
+    free = np.concatenate([np.where(frames, free_sigma * M_PER_MM / scale, 0.0), np.full(3 * len(start), free_sigma)])
     width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
     x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
     for step in range(15):  # three, and more while points move by 0.1 mm
@@ -207,7 +208,7 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
         before, x = x, C @ b
         values = np.clip(value + scale * x[:p], lower, upper)
         x[:p], now = (values - value) / scale, placed.with_values(dict(zip(names, values, strict=True)))
-        points = dict(zip(start, [*start.values()] + MM * x[p:].reshape(-1, 3), strict=True)) if start else start
+        points = dict(zip(start, [*start.values()] + M_PER_MM * x[p:].reshape(-1, 3), strict=True)) if start else start
         if step >= 2 and np.abs(x[p:] - before[p:]).max(initial=0.0) < 0.1:
             break
     r = linearised(now, names, m, ratio, points).off
@@ -223,10 +224,10 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
         names,
         points,
         C,
-        MM * sigma,
+        M_PER_MM * sigma,
         ratio,
         m,
-        MM * off[:, : kind.lengths],
+        M_PER_MM * off[:, : kind.lengths],
         np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2,
         1 + 20.0 / freedom,
     )
@@ -252,23 +253,19 @@ def _by_evidence(
     # Grid of one sigma of a coordinate [mm] over which the evidence is computed.
     noise_grid_mm = np.geomspace(0.008, 60.0, 22)
     # Grid of the factor on the robot's prior standard deviations, the other hyperparameter.
-    prior_factor_grid = np.array([0.1, 0.25, 0.6, 1.5])
-    logs, precisions = np.empty((len(prior_factor_grid), len(noise_grid_mm))), []
-    for i, factor in enumerate(prior_factor_grid):
-        P = np.where(free > 0, free, factor * width) ** -2
-        precisions.append(P)
-        at = np.linalg.solve(np.diag(P) + prior_information, prior_rhs)  # mean before the readings
-        root = root_of_inverse(np.diag(P) + prior_information)
-        values, V = np.linalg.eigh(root @ G @ root.T)
-        along = (V.T @ (root @ (b - G @ at))) ** 2
-        residual_square = square - 2 * float(at @ b) + float(at @ G @ at)
-        logs[i] = -0.5 * residual_square / noise_grid_mm**2 - len(y) * np.log(noise_grid_mm)
-        logs[i] += gain(noise_grid_mm**2, noise_grid_mm, np.maximum(values, 0.0)[None], along[None])[0]
+    precisions = np.where(free > 0, free, np.array([0.1, 0.25, 0.6, 1.5])[:, None] * width) ** -2
+    logs = np.empty((len(precisions), len(noise_grid_mm)))
+    for i, P in enumerate(precisions):
+        prior = np.diag(P) + prior_information
+        before = joined(prior, prior_rhs, 0.0, 0.0)
+        for j, s in enumerate(noise_grid_mm):
+            fit = joined(prior + G / s**2, prior_rhs + b / s**2, square / s**2 - before.square, -before.log_norm)
+            logs[i, j] = fit.log_norm - 0.5 * fit.square - len(y) * np.log(s)
     weights = np.exp(logs - logs.max())
     evidence = normal + float(logs.max() + np.log(weights.sum()))
     weights /= weights.sum()
     sigma = float(np.sqrt((weights.sum(axis=0) * noise_grid_mm**2).sum()))
-    variance = (weights.sum(axis=1)[:, None] / np.array(precisions)).sum(axis=0)
+    variance = (weights.sum(axis=1)[:, None] / precisions).sum(axis=0)
     C = np.linalg.inv(G / sigma**2 + np.diag(1 / variance) + prior_information)
     return evidence, sigma, C, b / sigma**2 + prior_rhs
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from casadical.core.basics import ConvergenceError, InputError, optional, shown
 from casadical.project.live.session import LiveSession, finished
-from casadical.project.live.sources import Source
+from casadical.project.live.sources import POLL_INTERVAL_S, Source
 from casadical.project.live.view import answer
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ REQUEST_TIMEOUT_S = 10.0
 MAX_CONNECTIONS = 100
 # Maximum length of a command from the page [bytes].
 MAX_COMMAND_BYTES = 100_000
-# Time between two queries of a source for new readings [s].
-POLL_INTERVAL_S = 0.2
 # Message where the packages of the web page are not installed.
 INSTALL_HINT = "the page needs starlette, uvicorn and sse-starlette: pip install 'casadical[live]', or --no-page"
 

@@ -27,6 +27,8 @@ from casadical.robot.robot import Robot
 
 # Name of the journal of a problem folder: one event in JSON on each line.
 JOURNAL_FILE = "measured.jsonl"
+# Time between two queries of a source for new readings [s].
+POLL_INTERVAL_S = 0.2
 
 
 class Add(Protocol):

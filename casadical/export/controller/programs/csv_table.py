@@ -6,10 +6,10 @@ A reader of its own knows encodings and separators; the text of the file is not 
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.files import csv_text
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import M_PER_MM, RAD_PER_DEG, Given, Number, Target
+from casadical.export.controller.programs.target import RAD_PER_DEG, Given, Number, Target
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 

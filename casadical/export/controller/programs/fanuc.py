@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 from lark import Token, Tree
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.export.controller.programs.grammar import ParsedText, integers, is_number, parts, repeated, words
 from casadical.export.controller.programs.language import AngleLanguage
-from casadical.export.controller.programs.target import M_PER_MM, Given, Number, Posture, Target, numbers
+from casadical.export.controller.programs.target import Given, Number, Posture, Target, numbers
 
 # Lark grammar of the positions of a listing, see `ParsedText`.
 FANUC_GRAMMAR = r"""

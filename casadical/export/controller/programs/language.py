@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError, errors_of
+from casadical.core.basics import M_PER_MM, Array, InputError, errors_of
 from casadical.core.transforms import frame, from_rpy, to_rpy
-from casadical.export.controller.programs.target import M_PER_MM, RAD_PER_DEG, Given, Target
+from casadical.export.controller.programs.target import RAD_PER_DEG, Given, Target
 
 
 class ProgramLanguage(ABC):

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 from lark import Token, Tree
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.grammar import ParsedText, integers, is_number, parts
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import M_PER_MM, Given, Posture, Target, numbers
+from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
 # Lark grammar of declarations, motions and assignments, see `ParsedText`.
 RAPID_GRAMMAR = r"""

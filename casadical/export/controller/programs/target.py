@@ -8,12 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from casadical.core.basics import Array
+from casadical.core.basics import M_PER_MM, Array
 
 # Radians per degree.
 RAD_PER_DEG = np.pi / 180
-# Metres per millimetre.
-M_PER_MM = 1e-3
 
 
 @dataclass(frozen=True)
