@@ -18,7 +18,7 @@ from casadical.core.basics import InputError
 FILE_FORMAT = "casadical-compensator"
 # Version of the file format, which is in each file.
 FORMAT_VERSION = 1
-# Type of each field of a compensator that is saved under its own name, as pydantic takes a required field.
+# Type of each field of a compensator that is saved under its own name, as pydantic takes it.
 _SAVED_FIELDS: dict[str, Any] = {
     f.name: (f.type, ...) for f in fields(Compensator) if f.name not in ("network", "trained_box", "trained", "history")
 }

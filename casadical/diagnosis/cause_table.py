@@ -40,7 +40,14 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
     """Return a row of texts for each cause of a diagnosis, the largest shrink first."""
     rows, alone = [], sum(bool(c.effects) for c in d.causes) == 1
     for c in d.causes:
-        shown, mechanical = _signature(d, c)
+        words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
+        if c.effects:
+            words = words or c.effects[0].signature or c.effects[0].physics
+        shown, _, mechanical = words.partition(" (")
+        shown = ", ".join(filter(None, [shown, joints_of(c)]))
+        if f"gravity_compensator@{c.joint}" not in {k.label for k in d.case.candidates}:
+            mechanical = mechanical.replace("; balancer on the shoulder", "")
+        mechanical = mechanical.rstrip(")")
         after = d.gap.after if alone else d.gap.without_outliers * (1 - c.shrink)
         low, high = (100 * v for v in c.shrink_interval)
         settings = [setting for e in c.effects for setting in settings_of(e).items()]
@@ -84,17 +91,6 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
                     clear[which] = max(clear.get(which, 0.0), abs(value) / error)
     # An instrument is named if one of its parameters is more than three standard errors from zero.
     return {which: ", ".join(own) for which, own in words.items() if clear[which] > 3.0}
-
-
-def _signature(d: Diagnosis, c: Cause) -> tuple[str, str]:
-    """Return the texts of a cause's signature with its joints, and of its mechanical reasons."""
-    words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
-    if c.effects:
-        words = words or c.effects[0].signature or c.effects[0].physics
-    shown, _, causes = words.partition(" (")
-    if f"gravity_compensator@{c.joint}" not in {k.label for k in d.case.candidates}:
-        causes = causes.replace("; balancer on the shoulder", "")
-    return ", ".join(filter(None, [shown, joints_of(c)])), causes.rstrip(")")
 
 
 def joints_of(c: Cause) -> str:

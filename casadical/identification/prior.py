@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.parameters import Parameter
 from casadical.core.reporting.plain import Key, plain
 from casadical.core.reporting.result import Shown
 from casadical.effects import Effect
@@ -271,7 +270,10 @@ def refuse_another(robot: Robot, other: Robot, what: str) -> None:
     lengths = [p.value / values[p.name] for p in same if p.unit == "m" and values.get(p.name) and p.value]
     ratio = float(np.median(lengths)) if lengths else 1.0
     for p in same:
-        if p.name not in values or abs(_difference(p, values[p.name])) > p.upper - p.value:
+        apart = values.get(p.name, np.inf) - p.value
+        if p.unit == "rad" and np.isfinite(apart):  # angles are equal modulo a turn
+            apart = (apart + np.pi) % (2 * np.pi) - np.pi
+        if abs(apart) > p.upper - p.value:
             theirs = f"{p.readable(values[p.name]):.6g}" if p.name in values else "missing"
             why = "it is another robot, or in another convention (modified, standard) or with other zeros of the joints"
             if max(ratio, 1 / ratio) > 900:
@@ -281,9 +283,3 @@ def refuse_another(robot: Robot, other: Robot, what: str) -> None:
                 f"{what} {other.name!r}: {p.name} is {theirs} {p.readable_unit}, of robot {robot.name!r} "
                 f"{p.readable(p.value):.6g}; they may differ by {allowed:.6g}: {why}"
             )
-
-
-def _difference(p: Parameter, value: float) -> float:
-    """Return a value minus that of a parameter [SI]; for angles without whole turns [rad]."""
-    apart = value - p.value
-    return float((apart + np.pi) % (2 * np.pi) - np.pi) if p.unit == "rad" else apart

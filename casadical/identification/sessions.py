@@ -116,21 +116,17 @@ def not_shared(sets: Sequence[Measurements]) -> str:
         return ""
     flags = [[m.conditions.get(SESSION_PREFIX + name, np.zeros(len(m))) > 0 for m in sets] for name in names]
     poses = [np.concatenate([m.q[own] for m, own in zip(sets, each, strict=True)]) for each in flags]
-    apart = [name for name, q in zip(names[1:], poses[1:], strict=True) if not _share_a_pose(poses[0], q)]
+    from scipy.spatial.distance import cdist
+
+    # Two sessions share a pose if its joint readings differ by less than 5e-4 rad or m.
+    near = [(cdist(poses[0], q, "chebyshev") < 5e-4).any() for q in poses[1:]]
+    apart = [name for name, same in zip(names[1:], near, strict=True) if not same]
     if not apart:
         return ""
     return (
         f"tell a change of the robot from how it was set up: session {', '.join(map(repr, apart))} shares no pose with "
         f"{names[0]!r}; some poses of {names[0]!r} measured again would"
     )
-
-
-def _share_a_pose(a: Array, b: Array, within: float = 5e-4) -> bool:
-    """Return whether a pose of b has the same joint readings as one of a.
-
-    a, b : readings, shape (n, joints) [rad or m]; within : tolerance of each joint [rad or m]
-    """
-    return any((np.abs(a - q).max(axis=1) < within).any() for q in b) if len(a) else False
 
 
 def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:

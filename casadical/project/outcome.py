@@ -22,7 +22,6 @@ from casadical.project.check.plausible import coverage
 from casadical.project.networks import Networks
 from casadical.project.problem import Problem
 from casadical.project.problem_file import Paper
-from casadical.robot.robot import Robot
 
 # Method -> set -> state ("nominal", "placed", "calibrated") -> statistics of the errors.
 Accuracies = Mapping[str, Mapping[str, Mapping[str, Accuracy]]]
@@ -333,19 +332,16 @@ def unused_columns(problem: Problem) -> dict[str, str]:
     return {shown(name): table for name, table in unused.items() if not name.startswith(("tool_", "session_"))}
 
 
-def _with_own_effects(problem: Problem) -> Robot:
-    """Return the robot with the effects of its file alone, without those of a prior."""
-    carried = problem.prior.labels if problem.prior else ()
-    return problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
-
-
 # Name in the template calibration.j2 -> function that it calls.
 _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "judged_on": judged_on,
     "chance_of": chance_of,
     "poses_to_tell": poses_to_tell,
     "open_error": open_error,
-    "with_own_effects": _with_own_effects,
+    # The robot with the effects of its file alone, without those of a prior.
+    "with_own_effects": lambda problem: problem.robot.with_only(
+        e for e in problem.robot.effects if e.label not in (problem.prior.labels if problem.prior else ())
+    ),
     "weighs_nothing": _payload_is_ignored,
     "changed_readings": changed_readings,
     "unused_columns": unused_columns,

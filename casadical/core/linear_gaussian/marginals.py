@@ -312,7 +312,7 @@ class Marginals:
 
 
 def marginals_of(model: LinearModel) -> Marginals:
-    """Return the marginal likelihoods of groups of a model's columns, which are cached in the model."""
+    """Return the marginal likelihoods of groups of a model's columns; the model caches them."""
     if "marginals" not in model.cache:
         model.cache["marginals"] = Marginals(model)
     cached: Marginals = model.cache["marginals"]

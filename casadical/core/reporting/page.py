@@ -46,7 +46,8 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
             dark=safe_json(DARK_BY_LIGHT),
             style=_text("page.css"),
             script=_text("page.js"),
-            plotly=_plotly(),
+            # No text of the library may close the script element that contains it.
+            plotly=optional("plotly.offline", MISSING_PLOTLY).get_plotlyjs().replace("</script", "<\\/script"),
         )
     )
     return text.encode(errors="backslashreplace").decode()  # names of files may not be UTF-8
@@ -74,14 +75,6 @@ def _finite(value: Any) -> Any:
 def _text(name: str) -> str:
     """Return the text of a file in `TEMPLATES`."""
     return (TEMPLATES / name).read_text(encoding="utf-8")
-
-
-@cache
-def _plotly() -> str:
-    # No text of the library may close the script element that contains it.
-    """Return the source of plotly.js, in which no script element is closed."""
-    source: str = optional("plotly.offline", MISSING_PLOTLY).get_plotlyjs()
-    return source.replace("</script", "<\\/script")
 
 
 @dataclass(frozen=True)

@@ -171,6 +171,11 @@ class Replay(Result):
         """Return the report of the replay as blocks: verdict, tables, unmoved joints, figures."""
         joints = self.runs[0].joints
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
+        # Joints that friction holds farthest from their commands, by F / kp [rad]: those with at
+        # least half of the largest value, at most three, if that exceeds the joint's residual.
+        band = np.where(self.response.moved, self.response.friction / self.response.gain, 0.0)
+        widest = first_of_best(band)
+        far = np.argsort(-band, kind="stable")[:3] if band[widest] > self.after[widest] else ()
         return self._report_blocks(
             before=before,
             after=after,
@@ -180,21 +185,10 @@ class Replay(Result):
             friction=self.friction_laws,
             against=[(a, 1e3 * float(np.sqrt((a.rms**2).mean()))) for a in self.against],
             still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
-            dead_band=self._dead_band(),
+            dead_band=[(joints[j], 1e3 * float(band[j])) for j in far if band[j] >= band[widest] / 2],
             worse=[name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b],
             figures=[*replay_figures(self)],
         )
-
-    def _dead_band(self) -> list[tuple[str, float]]:
-        """Return joints that friction holds farthest from their commands, with F / kp [mrad].
-
-        They are those with at least half of the largest value, at most three, if that exceeds what
-        the replay leaves of the joint; else none.
-        """
-        band = np.where(self.response.moved, self.response.friction / self.response.gain, 0.0)
-        widest = first_of_best(band)
-        far = np.argsort(-band, kind="stable")[:3] if band[widest] > self.after[widest] else ()
-        return [(self.runs[0].joints[j], 1e3 * float(band[j])) for j in far if band[j] >= band[widest] / 2]
 
     def _tables(self) -> Iterator[Table]:
         """Yield the tables of errors without one effect at a time, of position, and of torque; of

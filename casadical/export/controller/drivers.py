@@ -53,7 +53,9 @@ def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
     """
     frames = frames_at_zero(robot.joints)
     z, p = frames[0][:3, 2], frames[0][:3, 3]
-    base = frame(_aligned(np.eye(3), z), p - (z @ p) * z)
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z  # the first axis, projected perpendicular to z
+    x /= np.linalg.norm(x)
+    base = frame(np.column_stack([x, np.cross(z, x), z]), p - (z @ p) * z)
     at, rows = base, []
     for i in range(robot.n - 1):
         theta, d, a, alpha = standard_row(at, frames[i + 1], like[i])
@@ -101,16 +103,6 @@ def standard_row_matrix(theta: float, d: float, a: float, alpha: float) -> Array
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     R = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
     return frame(R, np.array([a * c, a * s, d]))
-
-
-def _aligned(R: Array, z: Array) -> Array:
-    """Return the rotation near R, (3, 3), whose third axis is the unit vector z, (3,).
-
-    Its first axis is that of R projected perpendicular to z.
-    """
-    x = R[:, 0] - (R[:, 0] @ z) * z
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
 
 
 def _ur(real: Robot, nominal: Robot, checksum: str) -> str:

@@ -72,7 +72,12 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     for compiler in root.iter("compiler"):
         compiler.set("balanceinertia", "true")
     bodies = {str(body.get("name")): body for body in root.iter("body")}
-    damping, armature = _with_delays(robot, robot.drive)
+    names = ("kp", "damping", "rotor_inertia_at_joint", "delay", "command_filter")
+    kp, damping, armature, delay, within = (_each(robot.drive, name, robot) for name in names)
+    # A delay d and a filter of time constant T multiply J s^2 + b s + kp, the denominator of the
+    # response, by e^(s d) (1 + s T), whose product is expanded up to s^2.
+    first, second = delay + within, delay**2 / 2 + delay * within
+    damping, armature = damping + kp * first, armature + damping * first + kp * second
     friction = _each(robot.drive, "friction", robot)
     moved = ("armature", armature), ("damping", damping), ("frictionloss", friction)
     given = (robot.drive.of_joints(name, robot.n) for name in ("lower_stop", "upper_stop"))
@@ -142,18 +147,6 @@ def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
     if limit:
         servo.set("forcerange", numbers(-limit, limit))
     return servo
-
-
-def _with_delays(robot: Robot, drive: Drive) -> tuple[Array, Array]:
-    """Return damping and armature that contain delay and filter of commands, (joints,) each [SI].
-
-    A delay d and a filter of time constant T multiply J s^2 + b s + kp, the denominator of the
-    response, by e^(s d) (1 + s T), whose product is expanded up to s^2.
-    """
-    names = ("kp", "damping", "rotor_inertia_at_joint", "delay", "command_filter")
-    kp, damping, armature, delay, within = (_each(drive, name, robot) for name in names)
-    first, second = delay + within, delay**2 / 2 + delay * within
-    return damping + kp * first, armature + damping * first + kp * second
 
 
 def driven(text: str, log: JointLog) -> Array:
