@@ -19,6 +19,7 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
 from casadical.measurements.logs.systems import UR_JOINTS, stations_of_bag
+from casadical.project.calibration import Calibration
 from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.hand_eye import hand_eye_of
@@ -239,12 +240,15 @@ def test_inverted_needs_orientations() -> None:
         as_poses(seen(False).positions_alone(), ur5e(), inverted=True)
 
 
-def test_errors_of_orientation_stand_beside_those_of_position(tmp_path: Path) -> None:
-    (tmp_path / "dh.csv").write_text(DH)
-    new_problem(
-        tmp_path / "arm", dh=tmp_path / "dh.csv", convention="standard", data=written(tmp_path, seen(True, poses=40))
-    )
-    result = calibrate(tmp_path / "arm")
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    folder = tmp_path_factory.mktemp("camera in hand")
+    (folder / "dh.csv").write_text(DH)
+    table = written(folder, seen(True, poses=40))
+    return calibrate(new_problem(folder / "arm", dh=folder / "dh.csv", convention="standard", data=table))
+
+
+def test_errors_of_orientation_stand_beside_those_of_position(result: Calibration) -> None:
     (_, report), *_ = [(name, m) for name, m in result.problem.parts() if name == "report"]
     off = Rotation.from_matrix(predicted(result.robot, report)[1].transpose(0, 2, 1) @ report.orientation).magnitude()
     np.testing.assert_allclose(turn_errors(result.robot, report), off, atol=1e-9)
@@ -255,13 +259,8 @@ def test_errors_of_orientation_stand_beside_those_of_position(tmp_path: Path) ->
     assert "deg: mean" in str(result)
 
 
-def test_the_hand_eye_transform_is_named_and_written(tmp_path: Path) -> None:
+def test_the_hand_eye_transform_is_named_and_written(result: Calibration) -> None:
     """With the nominal arm the camera is where it was planted, within its errors; the file is of easy_handeye2."""
-    (tmp_path / "dh.csv").write_text(DH)
-    new_problem(
-        tmp_path / "arm", dh=tmp_path / "dh.csv", convention="standard", data=written(tmp_path, seen(True, poses=40))
-    )
-    result = calibrate(tmp_path / "arm")
     found = result.hand_eye
     assert (found.camera, found.parent) == ("in hand", "flange")
     np.testing.assert_allclose(found.T[:3, 3], HAND_EYE[:3, 3], atol=5 * max(found.std_errors) + 2e-4)
