@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from scipy.stats import multivariate_normal
 from casadical import InputError, Robot, calibrate, identify, plot, read_robot, write_robot
 from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, name_of, other_regions
-from casadical.fleet.changes import MEANINGS, Change, times_in_words
+from casadical.fleet.changes import MEANINGS, Change, _per, times_in_words
 from casadical.fleet.comparison import changes_in, compare, courses_of, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, pooled_repeatability, with_common_noise
 from casadical.fleet.evidence import (
@@ -473,9 +474,11 @@ JUMP = Change(ZERO, "jump", 1, (1, 1), 1.0, 1.0, 9.0, (), (), np.zeros((2, 2)))
 
 def test_a_drift_of_a_zero_is_no_crash() -> None:
     assert JUMP.words == "the zero of joint 2 is another: a crash, a slipped belt or a lost reference"
-    drift = replace(JUMP, course="drift").words
-    assert "crash" not in drift
-    assert "wear" in drift
+    drift = replace(JUMP, course="drift")
+    assert "crash" not in drift.words
+    assert "wear" in drift.words
+    units = [_per(SimpleNamespace(campaigns=[SimpleNamespace(day=day)]), drift) for day in (None, 1)]
+    assert units == [" in 12 campaigns", " a year"]
 
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:

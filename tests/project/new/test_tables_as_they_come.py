@@ -10,6 +10,7 @@ import first_hour
 import numpy as np
 import pandas as pd
 import pytest
+from command_line import main
 from marks import slow
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -254,11 +255,12 @@ def test_files_without_a_column_in_common_and_of_other_lengths_are_refused(tmp_p
         new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=[tmp_path / "q.csv", tmp_path / "p.csv"])
 
 
-def test_headings_may_be_given(tmp_path: Path) -> None:
+def test_headings_may_be_given(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "dh.csv").write_text(first_hour.DH)
     (tmp_path / "table.csv").write_text(bare(P, Q))
     names = "x_mm,y_mm,z_mm,q6_deg,q2_deg,q3_deg,q4_deg,q5_deg,q1_deg"
-    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", headings=names)
+    given = ("--dh", tmp_path / "dh.csv", "--data", tmp_path / "table.csv", "--headings", names, "--yes", "-q")
+    assert main(monkeypatch, "new", tmp_path / "arm", *given) == 0
     assert (tmp_path / "arm" / "poses.csv").read_text().startswith(f"{names}\n")
     with pytest.raises(InputError, match="2 headings for 9 columns; the first row has"):
         new_problem(tmp_path / "b", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", headings="x,y")
