@@ -39,9 +39,9 @@ class RobotModel(Result):
     """A robot in the file format of another program.
 
     text : content of the file
-    lines : sentences on what the file holds besides the geometry, what it omits and the position
-        error without it
-    figures : the same as plain data
+    lines : sentences on what the file holds besides the geometry, what it omits, the position error
+        without it, and of a model that moves its replay
+    figures : the same, without the replay, or for "actuators" the file's content, as plain data
     about : robot in words, such as its name and number of joints
     """
 
@@ -55,7 +55,7 @@ class RobotModel(Result):
     about: str = ""
 
     def blocks(self) -> list[Words]:
-        """Return the sentences on what the file holds and what it omits, one per block."""
+        """Return the sentences of `lines`, one per block, or one that nothing is left out."""
         return [Words(line) for line in self.lines or ("nothing is left out",)]
 
     def to_json(self) -> dict[str, Any]:
@@ -98,8 +98,8 @@ def robot_model(
     source : robot file, whose values are taken, or problem folder, which is calibrated
     form : "mjcf", "urdf", "actuators" (drive parameters by joint name) or a table of geometry for
         other software: "ur", "standard_dh", "modified_dh", "xacro"
-    nominal : robot file from before the calibration, needed by a driver's kinematics and a user's
-        own model
+    nominal : robot file from before the calibration: for a driver's kinematics, and for `into` with
+        a robot file as source and no campaign
     campaign : for "mjcf", table of measured poses from which the robot is calibrated and diagnosed,
         or a joint log that the model replays in MuJoCo
     effects : for "mjcf", the effects to be diagnosed, as the option of `casadical diagnose`
@@ -206,7 +206,8 @@ def _into_users(
 ) -> MjcfExport:
     """Return a user's MJCF model with the robot's geometry and joint springs, without effects.
 
-    nominal : robot file from before the calibration, needed where source is a robot file
+    nominal : robot file from before the calibration; None: source is it, so that a robot file needs
+        a campaign
     into : the user's MJCF file; joints : names of its joints, separated by commas
     springs : whether springs are added to the compliant joints; robot : calibrated robot
     Raises InputError.

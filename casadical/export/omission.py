@@ -22,11 +22,12 @@ SAMPLED_POSES = 1000
 def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
     """Return a sentence on each omitted effect, with the position error that the omission causes.
 
+    The error is said to be unknown where a condition has no range, and is not stated for effects of
+    the measurement.
+
     omissions : effects that the format cannot represent, with reasons
     target : name of the format, for the error message
-    leave_out : whether effects may be omitted. Effects of the measurement may always be omitted, as
-        they are no property of the robot
-
+    leave_out : whether effects of the robot may be omitted; those of the measurement always may
     Raises InputError: other effects are omitted and `leave_out` is false.
     """
     lines, refused = [], []
@@ -55,9 +56,9 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
 def rigid_omissions(robot: Robot) -> tuple[str, ...]:
     """Return sentences on what a file that holds only the rigid geometry omits.
 
-    They name the joint compliances and effects, the position error [mm] without all of them, and
-    the effects whose position error is unknown. Effects of the measurement are named, but cause no
-    error of the robot. There are none for a rigid robot without effects.
+    The first names compliances and effects, and the position error [mm] without all of them; one
+    follows for each effect whose position error is unknown. Effects of the measurement are named,
+    but cause no error of the robot. There are none for a rigid robot without effects.
     """
     soft = ", ".join(str(i) for i, j in enumerate(robot.joints, 1) if j.compliance)
     names = [*([f"compliance of joints {soft}"] if soft else []), *(e.label for e in robot.effects)]
@@ -117,8 +118,8 @@ def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
 def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
     """Return mean and maximum displacement [m] of the measured point if these parameters are zero.
 
-    Readings and conditions are drawn uniformly from the range on which the robot was learnt. Where
-    it is unknown, they are drawn from the joint limits, both approach directions, the whole
+    Joint variables and conditions are drawn uniformly from the range on which the robot was learnt.
+    Where it is unknown, they are drawn from the joint limits, both approach directions, the whole
     progress, and the declared value of every other condition.
 
     parameters : names of the parameters
@@ -135,7 +136,7 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
 
     Poses at which a closed loop (four-bar) cannot close are excluded.
 
-    q : readings, shape (poses, n) [rad or m]; w : conditions, shape (poses, m)
+    q : joint variables, shape (poses, n) [rad or m]; w : conditions, shape (poses, m)
     other : the other points in the measuring frame, shape (3, poses) [m]
     """
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
@@ -145,9 +146,9 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
 
 
 def _poses(robot: Robot) -> tuple[Array, Array]:
-    """Return random readings, (k, n) [rad or m], and conditions, (k, m), in the learnt ranges.
+    """Return random joint variables, (k, n) [rad or m], and conditions, (k, m), with a fixed seed.
 
-    k is `SAMPLED_POSES`; the seed is fixed.
+    They are in the ranges of `displacement_without`; k is `SAMPLED_POSES`.
     """
     rng = np.random.default_rng(0)
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
@@ -161,8 +162,8 @@ def _poses(robot: Robot) -> tuple[Array, Array]:
 def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
     """Return random values of one condition, shape (poses,), in its own unit.
 
-    The range is the robot file's; otherwise -1 or 1 for an approach direction, 0 to 1 for progress,
-    and the declared value for the rest.
+    The range is the robot file's; otherwise -1 to 1 for an approach direction, 0 to 1 for progress,
+    and the declared value for the rest. An approach direction is either end of its range.
 
     column : index of the condition in `robot.conditions`
     """

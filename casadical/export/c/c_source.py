@@ -136,10 +136,7 @@ def _values(program: TapeProgram) -> dict[str, str]:
 
 
 def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
-    """Return values of the placeholders of a joint-command correction, by key.
-
-    They are array sizes, limits and texts.
-    """
+    """Return the values of a joint-command correction's placeholders by key."""
     limits, real, n, prepared = command.limits, program.real, program.n, prepared_size(command)
     n_p = pose_size(command)
     pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
@@ -174,7 +171,7 @@ def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
 
 
 def joint_units(product: Product) -> str:
-    """Return the units of the joint readings, in words."""
+    """Return the units of the joints q in words, such as "radians, q[2] in metres"."""
     linear = [f"q[{i}]" for i, unit in enumerate(product.units) if unit == "m"]
     return f"radians, {', '.join(linear)} in metres" if linear else "radians"
 
@@ -184,18 +181,16 @@ _VECTOR_SEED = 20201
 
 
 def inside(program: TapeProgram, count: int, seed: int = _VECTOR_SEED) -> Array:
-    """Return random joint readings in the product's box, shape (count, n) [rad or m].
-
-    They are of the real type.
-    """
+    """Return random joints in the product's box, of the real type, shape (count, n) [rad or m]."""
     lower, upper = program.product.lower, program.product.upper
     return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(NUMPY_TYPE[program.real])
 
 
 def self_test_inputs(program: TapeProgram) -> Array:
-    """Return the readings [rad or m] of the self-test, shape (29, n).
+    """Return the joints [rad or m] of the self-test, shape (29, n), of the real type.
 
-    They are the middle of the box, 8 of its corners, 16 random points inside and 4 points outside.
+    They are, in this order, the middle of the box, 8 of its corners, 16 random points inside and 4
+    points outside.
     """
     lower, upper, n = program.product.lower, program.product.upper, program.n
     signs = np.random.default_rng(_VECTOR_SEED).integers(0, 2, (8, n))
@@ -206,9 +201,9 @@ def self_test_inputs(program: TapeProgram) -> Array:
 
 
 def comparison_inputs(program: TapeProgram, count: int) -> Array:
-    """Return the readings [rad or m] for comparing compiled C with the reference, shape (count, n).
+    """Return the joints [rad or m] for comparing compiled C with the reference, shape (count, n).
 
-    Seven of eight rows are random inside the box. The others are scaled outwards by up to 1e6; some
+    Seven of eight rows are random inside the box. The others are such rows times 1 to 1e6; a fourth
     of these are corners of the box instead, some have an entry that is not finite or extreme.
     """
     T = NUMPY_TYPE[program.real]
@@ -228,9 +223,9 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
 
 
 def functions(program: TapeProgram) -> dict[str, Any]:
-    """Return the NumPy reference of each exported function of joint readings, by its name.
+    """Return the NumPy reference of each exported function of joints, by the function's name.
 
-    It takes the program and readings, and returns values and statuses; see `reference`.
+    It takes the program and joints, (k, n), and returns values and statuses; see `reference`.
     """
     exported: dict[str, Any] = {} if program.network is None else {program.network.key: network}
     return exported | ({"forward": forward, "correct": correct} if program.command is not None else {})

@@ -4,7 +4,7 @@ They are written once, for all target languages. With J the Jacobian at the comm
 L^T = J J^T + lambda^2 I, factored once, each step solves L D L^T y = r for the residual r and moves
 the joints by J^T y. After the last step the model is evaluated again, so that the status is based
 on the remaining error itself and not on an estimate; the step that follows from this evaluation
-costs next to nothing and is taken too.
+costs next to nothing and is taken too if the last one reduced the error to a third or less.
 
 Where the joints cannot reach every orientation, the position has priority: P = I - J^T (J J^T +
 lambda^2 I)^-1 J projects joint motions onto those that keep the position, and a second
@@ -139,7 +139,7 @@ class _PositionFirst(_Step):
         """Return J with the factors of the position and orientation problems, and the weakness.
 
         J and the factors are one vector of `size` numbers. The weakness is the sum of those of
-        position and orientation [rad^2/m^2].
+        position and orientation, without unreachable directions [rad^2/m^2].
 
         J : Jacobian of position and scaled orientation by the joints, shape (6, n)
         """
@@ -264,7 +264,7 @@ def _below(m: int) -> list[tuple[int, int]]:
 
 
 def _factor_size(m: int) -> int:
-    """Return the length of `_packed`'s vector for m rows."""
+    """Return the length of `_packed`'s vector for m rows, m (m + 1) / 2."""
     return m * (m - 1) // 2 + m
 
 

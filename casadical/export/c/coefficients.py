@@ -40,22 +40,23 @@ class Coefficients:
     pi: float
     pi_2: float
     pi_4: float
-    tansig_limit: float  # smallest argument from which on tanh rounds to 1
-    sqrt_steps: tuple[int, ...]  # powers of 2 that scale a square root's argument into [1, 4)
+    tansig_limit: float  # arguments are clipped to it; tanh rounds to 1 there
+    sqrt_steps: tuple[int, ...]  # exponents of 2 that scale a square root's argument into [1, 4)
     heron_steps: int  # number of Heron (Newton) steps of the square root
     smallest: float  # smallest normal number
-    largest: float
+    largest: float  # largest finite number
 
 
-# Largest absolute angle that sincos reduces exactly [rad].
+# Largest absolute angle that sincos reduces exactly [rad]; a larger one violates a guard.
 ANGLE_LIMIT = 1024.0
-# Largest absolute argument of exp; larger ones are clipped to it.
+# Largest absolute argument of exp: smaller ones than its negative are clipped to that, and larger
+# ones violate a guard.
 EXP_LIMIT = 43.0
 # Smallest ratio of the smaller to the larger coordinate at which atan2 subtracts pi/4; any value
 # near tan(pi/8) is right.
 TAN_PI_8 = 0.41421356
 # Coefficients, lowest first, of a quadratic polynomial for sqrt(m) on [1, 4), which is accurate to
-# 0.7 per cent; Heron's steps refine it.
+# 1.7 per cent; Heron's steps refine it.
 SQRT_GUESS = (0.5375, 0.4905, -0.0305)
 
 _FLOAT_COEFFICIENTS = Coefficients(  # constants of the elementary functions in float (binary32)
@@ -225,8 +226,9 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
 def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tuple[float, ...], float]:
     """Return the smallest spline table of one output that is accurate enough, and its error bound.
 
-    function : function of one angle that the table replaces
-    output : index of the output; samples : its values at equidistant angles over one turn
+    function : function that the table replaces, for messages
+    output : index of the output
+    samples : its values at `_HARMONIC_SAMPLES` equidistant angles over one turn
     Returns the entries of the table, and the bound in the unit of the output
     Raises InputError: none is accurate to `MAX_TABLE_ERROR`.
     """

@@ -68,9 +68,9 @@ def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
 
 
 def table_name(table: tuple[float, ...]) -> str:
-    """Return the name of a table's C function, made of a checksum of the table's numbers.
+    """Return the name of a table's C function, without the export's prefix.
 
-    Equal tables have equal names, so that tapes share them.
+    It has a checksum of the numbers: equal tables have equal names, so that tapes share them.
     """
     return f"periodic_{zlib.crc32(repr(table).encode()):08x}"
 
@@ -147,7 +147,9 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
 
 
 def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
-    """Return the text of every number that the templates of elementary functions use, by its key.
+    """Return the text of each number, list and polynomial of the elementary functions' templates.
+
+    The texts are by the key of their placeholder.
 
     write : function that writes a number of the real type as text, by default a C literal
     """

@@ -1,4 +1,4 @@
-"""Compile the C of an export and call it from Python on arrays of joint readings."""
+"""Compile the C of an export and call it from Python on arrays of joints."""
 
 import ctypes
 import hashlib
@@ -113,7 +113,7 @@ class Manifest(BaseModel):
 class Kernel:
     """Functions of a compiled export, called on arrays; made by :func:`load` or :func:`build`.
 
-    Calls are re-entrant, as the C is; one row takes a microsecond or less.
+    Calls are re-entrant, as the C is.
 
     shape : name, real type, joints and output sizes
     """
@@ -123,15 +123,15 @@ class Kernel:
         self._library = ctypes.CDLL(str(library))
 
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
-        """Return values, shape (k, outputs), and status, shape (k,), of a function at k readings.
+        """Return values, (k, outputs), and status, (k,), of a function at k rows of joints.
 
         The values are of network a position correction [mm], of curves true angles less readings
         [rad], of correct corrections to add to the joints [rad or m], of forward the calibrated
-        position [m], with the rotation's columns where the export has them. The status is a
-        `casadical.export.Status`.
+        position [m], with the rotation's columns where the export has them; they are zero where the
+        status, a `casadical.export.Status`, is NOT_FINITE.
 
         function : "network", "curves", "forward" or "correct", as the export has it
-        q : joint readings, shape (k, n) [rad or m], converted to the kernel's real type
+        q : joints, shape (k, n) [rad or m], converted to the kernel's real type
         Raises InputError: the export has no such function, or q another number of joints.
         """
         shape = self.shape
@@ -157,7 +157,8 @@ class Kernel:
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
         """Return corrections, (k, n) [rad or m], and status, (k,), of k calls of the C's `step`.
 
-        They are consecutive controller cycles, starting without a correction.
+        They are consecutive controller cycles, starting without a correction, of an export that has
+        the function "correct".
 
         q : commanded joints, shape (k, n) [rad or m]
         enable : whether the correction is on in each cycle, shape (k,)
@@ -180,7 +181,7 @@ def _pointer(array: Array) -> ctypes.c_void_p:
 
 
 def rows_source(shape: Shape) -> str:
-    """Return the C text of functions that call the exported ones for each of many readings.
+    """Return the C text of functions that call the exported ones for each row of many joints.
 
     It is compiled with the export but not part of it.
     """

@@ -22,7 +22,7 @@ class Limits:
     singular_m_per_rad : a pose whose weakest direction moves the tool by less than about this is
         reported as singular [m/rad]
     tolerance_mm : a larger remaining error is reported as not converged [mm]
-    Raises InputError: a limit that is not positive, a cycle outside of 0.01 ms to 1 s, a ramp of
+    Raises InputError: a limit not positive and finite, a cycle outside of 0.01 ms to 1 s, a ramp of
     less than one cycle or more than 100,000 (in float a gain of smaller steps goes wrong), or a
     rate that in a cycle changes a joint by less than 1e-6 rad or by more than the largest
     correction.
@@ -59,8 +59,9 @@ class Limits:
     def numbers(self) -> dict[str, float]:
         """Return the limits as the C compares with them, by name.
 
-        They are delta, step and change per cycle [rad or m], ramp (gain per cycle), tolerance2 (its
-        square [m^2]) and weakness (largest value of a pose that is not singular [rad^2/m^2]).
+        They are delta, step and change per cycle [rad or m], ramp (gain per cycle, at most 1),
+        tolerance2 (squared tolerance [m^2]) and weakness (largest value of a pose that is not
+        singular [rad^2/m^2], see `prepare`).
         """
         return {
             "delta": self.delta_rad,
@@ -74,14 +75,14 @@ class Limits:
 
 @dataclass(frozen=True)
 class NetworkFunction:
-    """A network q[n] [rad or m] -> dp[m] [mm] with the ranges of readings it was trained in.
+    """A network q[n] [rad or m] -> dp[m] [mm] with the joint ranges in which it was trained.
 
-    function : CasADi function of the network; dp is added to computed positions
+    function : CasADi function of the variables of the robot's rows; dp is added to positions
     lower, upper : lower and upper ends of these ranges, shape (n,) [rad or m]
-    units : "rad" or "m" of each joint's reading; default: all rad
+    units : "rad" or "m" of each joint; empty: all rad
     key, out, unit, title : names of the exported function and of its result, the result's unit, and
         a title in words
-    Raises InputError: a function of other shapes.
+    Raises InputError: a function of other shapes, or ranges or units that are not allowed.
     """
 
     function: casadi.Function
@@ -103,7 +104,7 @@ class NetworkFunction:
 class CurveFunction(NetworkFunction):
     """The joints' error curves, q[n] -> dq[n]: a joint's true angle is its reading plus dq [rad].
 
-    Raises InputError: a function of other shapes.
+    Raises InputError: as of `NetworkFunction`.
     """
 
     key: ClassVar[str] = "curves"
@@ -125,14 +126,14 @@ class Command:
         (closed loops, compliance, network)
     lower, upper : lower and upper ends of the box of joint readings that are corrected, shape (n,)
         [rad or m]; `command_of` takes the robot's limits, not the range that was measured
-    jacobian_of : function like ``calibrated`` whose Jacobian the chord steps take; None:
-        ``calibrated`` itself. The chain without compliance and network costs a third
+    jacobian_of : function like ``calibrated``, the mean of whose Jacobian and the nominal one the
+        steps take; None: ``calibrated`` itself. A chain without compliance and network is cheaper
     jacobian_at : joints at which this Jacobian is taken, as a function of q; None: q
     network : a network that is exported as a function of its own besides the correction; None: none
     limits : limits of the correction, and thresholds of its statuses
     steps : number of least-squares steps, 1 to 10. The robot is evaluated again after them:
-        NOT_CONVERGED means that the remaining error exceeds the tolerance there. One more step
-        follows where the last one reduced the error to a third or less
+        NOT_CONVERGED means that the error there exceeds the tolerance, or the next step its limit.
+        One more step follows where the last one reduced the error to a third or less
     units : "rad" or "m" of each joint's reading; default: all rad
     freedom : number of directions in which the joints move the tool, and number about which they
         rotate it at a fixed position. Where a pose has fewer than six in all, the position has
@@ -174,8 +175,7 @@ Product = NetworkFunction | Command
 def _checked_box(product: Any) -> None:
     """Check the box and units of a product, and replace them by float arrays and a complete tuple.
 
-    product : `NetworkFunction` or `Command`
-    Raises InputError.
+    Raises InputError: bounds that are empty, not finite or 100 rad or m and more, or other units.
     """
     lower, upper = (np.array(b, float).ravel() for b in (product.lower, product.upper))
     if lower.shape != upper.shape or len(lower) == 0:
@@ -210,11 +210,11 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
 
 
 def mapped(function: casadi.Function, q: Array) -> Array:
-    """Return a CasADi function's outputs at k readings, shape (k, outputs).
+    """Return a CasADi function's outputs at k rows of joints, shape (k, outputs).
 
     Outputs that are matrices are appended column by column.
 
-    q : readings, shape (k, n) [rad or m]
+    q : joints as the function takes them, shape (k, n) [rad or m]
     """
     out = function.map(len(q)).call([casadi.DM(q.T)])
     columns = [np.array(o).reshape(o.shape[0], -1, len(q), order="F") for o in out]

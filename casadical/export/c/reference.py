@@ -168,10 +168,7 @@ def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Arra
 
 
 def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
-    """Return outputs, (k, outputs), and whether all guards hold, (k,), for k rows of inputs.
-
-    They are those of `run`, for rows that are evaluated at once.
-    """
+    """Return outputs and mask as of `run`, for k rows of inputs that are evaluated at once."""
     mirror = NumpyFunctions(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)
@@ -219,9 +216,9 @@ class Status(IntEnum):
 
 
 def boxed(q: Array, box: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
-    """Return readings clipped to a box, (k, n), and status OK, CLAMPED or NOT_FINITE of each, (k,).
+    """Return joints clipped to a box, (k, n), and status OK, CLAMPED or NOT_FINITE of each, (k,).
 
-    q : readings, shape (k, n) [rad or m]; box : lower and upper ends, each of shape (n,)
+    q : joints, shape (k, n) [rad or m]; box : lower and upper ends, each of shape (n,)
     scale : as of `TapeProgram.sum_scale`
     """
     T = q.dtype.type
@@ -238,11 +235,12 @@ def boxed(q: Array, box: tuple[Array, Array], scale: float) -> tuple[Array, Arra
 
 
 def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Return the outputs of network or curves, shape (k, m), and status, shape (k,), at readings q.
+    """Return the outputs of network or curves, shape (k, m), and status, shape (k,), at joints q.
 
-    Outputs are position corrections of a network [mm], true angles less readings of curves [rad].
+    Outputs are position corrections of a network [mm], true angles less readings of curves [rad],
+    and zero where the status is NOT_FINITE.
 
-    q : shape (k, n) [rad or m]
+    q : shape (k, n) [rad or m], clipped to the box of network or curves
     """
     assert program.network is not None
     return _values(program, q, program.network.key, "network")
@@ -252,19 +250,19 @@ def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """Return the calibrated tool pose, shape (k, 3 or 12), and status, shape (k,), at readings q.
 
     The pose is the position [m] and, where the program has it, the columns of the rotation, in the
-    robot's own base frame.
+    robot's own base frame. It is zero where the status is NOT_FINITE.
 
-    q : shape (k, n) [rad or m]
+    q : shape (k, n) [rad or m], clipped to the box `reach` of `TapeProgram.boxes`
     """
     return _values(program, q, "forward", "reach")
 
 
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
-    """Return outputs of a tape, (k, outputs), and statuses, (k,), at readings clipped to a box.
+    """Return outputs of a tape, (k, outputs), and statuses, (k,), at joints clipped to a box.
 
     The outputs are zero where the status is NOT_FINITE.
 
-    q : readings, shape (k, n) [rad or m]; tape, box : names of the tape and of the box
+    q : joints, shape (k, n) [rad or m]; tape, box : names of the tape and of the box
     """
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes[box], program.sum_scale)
@@ -310,8 +308,9 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
     """Return joint corrections by the chord method, (k, n) [rad or m], and statuses, (k,).
 
-    They start from zero and take the program's number of least-squares steps with the Jacobian at
-    the command.
+    They start from zero and take the command's number of least-squares steps with the Jacobian at
+    the command, and one more where the last one reduced the error to a third or less. They are zero
+    where the status is NOT_FINITE.
 
     x : commanded joints within the box, shape (k, n) [rad or m]
     """

@@ -31,7 +31,7 @@ class Plan:
     starts : first place of the results of each run; the last entry is the number of values
     first, second : places of the operation's arguments, for each place of a result; 0 where there
         is none
-    spans : index of the first and the last run of each tape
+    spans : indices of the first and the last run of each tape, by its name
     tables : spline tables of `periodic`, whose second argument is the index of a table
     """
 

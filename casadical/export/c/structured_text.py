@@ -46,7 +46,10 @@ _SIMPLE_STATEMENTS = {
 
 
 def structured_text(program: TapeProgram) -> str:
-    """Return the text of NAME.st: blocks of network, correction and cycle, and a self-test."""
+    """Return the text of NAME.st: blocks of network or curves, correction, cycle, and a self-test.
+
+    Blocks of what the program lacks are omitted.
+    """
     plan = Plan(program)
     values = _common(program, plan)
     parts = [filled(template("head.st"), values), _values_block(plan, values, program.real)]
@@ -99,7 +102,7 @@ def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
 
 
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
-    """Return the declaration of an array with initial values, equal neighbours as REPEAT(VALUE).
+    """Return the declaration of an array with initial values, long runs of one as COUNT(VALUE).
 
     kind : data type; entries : text of each value
     """

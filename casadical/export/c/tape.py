@@ -97,7 +97,7 @@ class _Builder:
 
         angle : node index of the angle
         table : entries of the table; a single entry is a constant
-        bound : upper bound of the value's magnitude
+        bound : upper bound of the table's error, in the unit of the value
         """
         if len(table) == 1:
             return self.constant(table[0])
@@ -126,7 +126,7 @@ class _Builder:
         return self.add(_EQUAL_OPERATIONS[name], *args) if recognised is None else recognised
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
-        """Return the node index of a tansig if this is its last operation, else None.
+        """Return the node index of tansig(a) if operation `op` on `args` completes one, else None.
 
         The forms 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) are recognised.
         """
@@ -194,8 +194,8 @@ def tape_of(function: casadi.Function) -> Tape:
     All inputs are taken as one vector in the order of the function's arguments, and so are the
     outputs.
 
-    Raises InputError: the function cannot be expanded, has sparse arguments, uses an operation that
-    the generated C does not have, or calls a function that cannot be a table.
+    Raises InputError: the function cannot be expanded, has sparse inputs or outputs, uses an
+    operation that the generated C does not have, or calls a function that cannot be a table.
     """
     if not function.is_a("SXFunction"):
         try:

@@ -59,7 +59,7 @@ _INTERVAL_RULES: dict[str, Callable[..., Interval]] = {
     "sin": lambda _a: (-1.0, 1.0),
     "cos": lambda _a: (-1.0, 1.0),
 }
-# Names of operations whose result is not rounded, so that their intervals need no widening.
+# Names of operations whose intervals need no widening: results that are not rounded, or clamped.
 _EXACT_OPERATIONS = {
     "input",
     "const",
@@ -126,7 +126,7 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
 
 
 def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) -> Tape:
-    """Return the tape without the guards that no input within a box can violate.
+    """Return the tape without the guards of bounded values that no input within a box can violate.
 
     lower, upper : ends of the box of inputs, shape (n_in,)
     """
@@ -153,7 +153,7 @@ class TapeProgram:
     real : type of numbers, "float" or "double"
     tapes : tapes by name: "network" or "curves"; of a command also "forward", "prepare", "advance"
     network_bounds : lower and upper bound of each output of network or curves over its box, in its
-        unit
+        unit; empty without them
     name : prefix of functions and files, a C identifier
     model_sha256, data_sha256 : hashes of the model and the data that it was made from
     """
@@ -183,10 +183,10 @@ class TapeProgram:
 
     @property
     def boxes(self) -> dict[str, tuple[Array, Array]]:
-        """Return the boxes to which joint readings are clipped, by purpose.
+        """Return the boxes to which joints are clipped, lower and upper end by purpose, (n,) each.
 
         They are `command` for the correction, `reach` for the forward kinematics (the same box
-        enlarged by the largest correction), and `network` for network or curves.
+        enlarged by the largest correction), and `network` for network or curves [rad or m].
         """
         boxes: dict[str, tuple[Array, Array]] = {}
         if self.command is not None:

@@ -44,8 +44,8 @@ class Comparison:
 
     function : name of the function
     compiler : version text of the compiler
-    vectors : number of vectors of joint readings
-    outputs : number of numbers that were compared
+    vectors : number of vectors of joints
+    outputs : number of output numbers that were compared
     different : number of outputs and statuses whose bits differ
     """
 
@@ -75,8 +75,8 @@ def compared(
 
     The self-test counts as a function with one vector. There are none without a compiler.
 
-    files : contents by file name; installed : compilers
-    count : number of vectors of joint readings
+    files : contents by file name; installed : compilers; count : number of vectors of joints
+    Raises CasadicalError: a file does not compile without warnings, or cannot be loaded.
     """
     if not installed:
         return []
@@ -110,12 +110,13 @@ def _bits(values: Array) -> Array:
 def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     """Return figures on a program's accuracy by name: its reference against CasADi's doubles.
 
-    network_error_um, curves_error_urad and forward_error_um are largest errors at random readings.
-    rest_once_urad and rest_twice_urad are the remaining error if a controller commands q -
+    network_error_um, curves_error_urad and forward_error_um are largest errors at random joints;
+    rest_once_urad and rest_twice_urad are the largest that remain if a controller commands q -
     curves(q), and q - curves(q - curves(q)). table_bytes and table_error_urad_at_most are the size
     of the tables and the bound of their error before rounding. For commands see `_of_command`.
 
-    count : number of random readings within the box
+    count : number of random joint vectors within the box
+    Returns the figures that apply to the product, rounded to three digits
     """
     q = inside(program, count)
     figures: dict[str, float] = {}
@@ -152,10 +153,10 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
 
     They are the tool's mean error before the correction (start_error_um_mean), median and worst of
     the remaining error at poses with status OK (rest_um_.., for poses also rest_urad_..), and the
-    fractions of readings with status OK (share_ok), that converged (share_converged) and, for
-    poses, that are singular (share_singular). Readings at which the model has no value (a four-bar
-    that cannot close) count as not OK, but do not count for share_converged; nor do singular poses
-    where the orientation is corrected.
+    fractions of readings with status OK, of all (share_ok) and of those that count
+    (share_converged), and for poses of singular ones (share_singular). Readings at which the model
+    has no value (a four-bar that cannot close) do not count for share_converged; nor do singular
+    poses where the orientation is corrected.
 
     status : status of each reading, shape (k,)
     """
@@ -196,7 +197,7 @@ class Export(Result):
     comparisons : comparisons of the compiled C with the reference, one per function and compiler
     figures : accuracy figures of this model by name, see `accuracy`
     operations : numbers of operations of one call
-    about : sentences on what it was made from and what it omits
+    about : sentences on what it was made from and what it omits; `write_c` states none
     """
 
     file_stem: ClassVar[str] = "export"
@@ -213,7 +214,7 @@ class Export(Result):
 
     @property
     def verified(self) -> bool:
-        """Return whether the C was compiled and compared, and the correction `converges`."""
+        """Return whether compiled C equals the reference, and the correction `converges`."""
         return bool(self.comparisons) and self.converges
 
     @property
@@ -244,12 +245,11 @@ def write_c(
 ) -> Export:
     """Write a network, curves or a command as C99, with everything that an integrator needs.
 
-    product : network, curves or command
+    product : network, curves or command; without a C compiler it is written unverified
     folder : folder of the files, made when missing; other files in it stay
     name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
     real : type of its numbers, "float" or "double"
-    model_sha256 : SHA-256 of the model, for the header
-    data_sha256 : SHA-256 of the data, for the header
+    model_sha256, data_sha256 : SHA-256 of the model and of the data, for the header
     languages : names of languages that are written besides the C; None: all (`structured_text`)
     vectors : number of joint vectors on which the compiled C is compared with the reference
     overwrite : whether files are replaced that no export wrote, or that were changed since

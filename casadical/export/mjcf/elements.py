@@ -60,7 +60,7 @@ def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
 def add_mass(body: ET.Element, mass: float, com: Array) -> None:
     """Add mass and mass centre to a body; the inertia is a placeholder.
 
-    mass : mass [kg], 0 for none; com : mass centre in the body's frame, shape (3,) [m]
+    mass : mass [kg], raised to 1e-6 if less; com : mass centre in the body's frame, shape (3,) [m]
     """
     mass = max(mass, 1e-6)  # kg; MuJoCo cannot move a body without mass
     moment = mass * (0.1 + 0.3 * float(np.linalg.norm(com))) ** 2
@@ -93,7 +93,7 @@ def armature_and_damping(stiffness: float) -> dict[str, str]:
 def add_pieces(
     body: ET.Element, name: str, mass: Body, end: Array, stiffness: tuple[float, float, float], spread: bool
 ) -> tuple[ET.Element, Array]:
-    """Add the pieces of a flexible link; return the last one, and the link's frame in it, (4, 4).
+    """Add the pieces of a flexible link; return the last and the link's frame in it, (4, 4) [m].
 
     body : body of the link's first piece; name : name of the link
     mass : mass properties of the link
@@ -126,7 +126,7 @@ def add_pieces(
 
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
-    """Add the sites of a balancing spring: anchors before its joint, and the lever on its link.
+    """Add the sites of a balancing spring: two anchors before its joint, the lever on its link.
 
     before : body before the joint
     behind : pose of the frame of the link before the joint in that body, shape (4, 4) [m]

@@ -14,21 +14,21 @@ from casadical.core.basics import Array, ConvergenceError, InputError, optional
 from casadical.export.mjcf.mjcf import MEASURED_SITE
 from casadical.measurements.measurements import Measurements
 
-# Largest Newton step at which a solution counts as converged [rad or m].
+# Newton steps below this one count as convergence of an equilibrium or a closed loop [rad or m].
 STILL_STEP = 1e-12
-# Largest number of Newton steps.
+# Largest number of Newton steps to an equilibrium, and of limited ones that close a loop.
 MAX_STEPS = 100
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     """Return equilibrium positions of the measured point, shape (n, 3) [m], in the measuring frame.
 
-    They are those at the readings and conditions of the measurements.
+    They are those at the joint variables, logged payload masses and directions of approach.
 
     xml : text of a model as `mjcf` writes it
     payload_factor : true mass of the payload divided by the declared one
-    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a
-    loop cannot close.
+    Raises InputError: MuJoCo is not installed, or another number of joints; ConvergenceError: no
+    equilibrium is found, or a loop cannot close.
     """
     model = EngineModel(xml)
     payload = next((b for b in range(model.m.nbody) if model.m.body(b).name == "payload"), None)
@@ -80,9 +80,9 @@ class EngineModel:
     def rest(self, command: Array, approach: Array) -> Array:
         """Return the measured point at equilibrium, shape (3,) [m], in the measuring frame.
 
-        command : joint readings, shape (n,) [rad or m]
+        command : commanded joint variables, shape (n,) [rad or m]
         approach : direction of each joint's last motion, -1, 0 (unknown) or 1, shape (n,)
-        Raises ConvergenceError.
+        Raises ConvergenceError: no equilibrium is found, or a loop does not close.
         """
         d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
         d.qpos[:] = 0.0
@@ -110,10 +110,7 @@ class EngineModel:
         raise ConvergenceError(f"no equilibrium after {MAX_STEPS} steps, the last one of {size:.1e} rad or m")
 
     def _force(self) -> Array:
-        """Return generalized forces, shape (nv,) [N m or N], including those through loops.
-
-        nv is the number of the model's coordinates.
-        """
+        """Return forces on the nv coordinates of the model, (nv,) [N m or N], loops included."""
         self.mujoco.mj_fwdPosition(self.m, self.d)
         self.mujoco.mj_fwdVelocity(self.m, self.d)
         self.mujoco.mj_fwdActuation(self.m, self.d)
@@ -147,8 +144,8 @@ class EngineModel:
     def _assemble(self, command: Array) -> None:
         """Set the passive hinges so that loops close as they do, uncrossed, in mid joint range.
 
-        command : joint readings, shape (n,) [rad or m]
-        Raises InputError, ConvergenceError: a loop does not close.
+        command : commanded joint variables, shape (n,) [rad or m]
+        Raises InputError: no loop closes in mid range; ConvergenceError: none does at the command.
         """
         if self._sides is None:
             lower, upper = self.m.actuator_ctrlrange[self.servos].T
@@ -179,7 +176,7 @@ class EngineModel:
     def _close_from(self, start: Array) -> bool:
         """Return whether the loops close from these angles of the passive hinges [rad].
 
-        The angles are replaced in place by those of the last step.
+        The array `start` is overwritten with the angles of the last step.
         """
         self.d.qpos[self.free] = start
         done = self._close(gentle=True)
@@ -204,7 +201,7 @@ class EngineModel:
         return bars
 
     def _side(self, free: Array) -> Array:
-        """Return the sign, for each loop, of the side of its diagonal on which the rocker is.
+        """Return the side of its diagonal on which each loop's rocker is, -1, 0 or 1, (loops,).
 
         free : angles of the passive hinges [rad]
         """
@@ -213,7 +210,9 @@ class EngineModel:
     def _close(self, gentle: bool = False) -> bool:
         """Move the passive hinges onto the constraints by Newton steps; return whether these hold.
 
-        gentle : whether steps are limited to 0.5 rad, for starts that are far from a solution
+        They hold if the last step is below `STILL_STEP` and no violation reaches 1e-9.
+
+        gentle : whether steps are at most 0.5 rad and `MAX_STEPS`, not six, for distant starts
         """
         for _ in range(MAX_STEPS if gentle else 6):
             J, off = self._constraints()

@@ -28,10 +28,10 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
     nominal, calibrated : robot before and after the calibration; path : file of the user's model
     joints : names of the arm's joints in the model, from the base on
-    springs : whether each compliant joint also gets a hinge `NAME_spring` on the same axis, in the
+    springs : whether each compliant joint also gets a spring `NAME_spring` on the same axis, in the
         same body
-    Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal
-    robot's.
+    Raises InputError: a closed loop, a file that cannot be read or changed, another number of
+        joints, no such joint, or a joint whose axis is not the nominal robot's.
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")
@@ -84,7 +84,7 @@ def _write_pose(element: minidom.Element, T: Array) -> None:
 
 
 def _add_spring(document: minidom.Document, name: str, compliance: float, source: str) -> None:
-    """Add a spring hinge (or slide) NAME_spring before a joint, on the same axis.
+    """Add a spring hinge (or slide) NAME_spring behind a joint in its body, on the same axis.
 
     name : name of the joint; source : name of the file, for messages
     compliance : compliance of the joint [rad/(N m) or m/N]; 0: nothing is added
@@ -113,7 +113,7 @@ def _read(path: Path) -> Any:
 
 
 def _at_zero(spec: Any, joints: Sequence[str]) -> tuple[Any, Any]:
-    """Return MuJoCo's compiled model and its data, with the arm's joints at zero.
+    """Return MuJoCo's compiled model and its data, with the arm's joints (only these) at zero.
 
     spec : MuJoCo's specification of the model; joints : names of the arm's joints
     """
@@ -139,7 +139,7 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
 
     spec : MuJoCo's specification of the model; joints : names of the arm's n joints
     source : name of the file, for messages
-    Raises InputError.
+    Raises InputError: no such joint, or one that is not alone in a body with a name.
     """
     present = [joint.name for joint in spec.joints]
     missing = [name for name in joints if name not in present]
@@ -155,7 +155,7 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
 
 
 def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
-    """Return the pose of casadical's base in the model's world, (4, 4), at which axes coincide.
+    """Return the pose of casadical's base in the model's world, (4, 4) [m], where axes coincide.
 
     N : joint frames of the nominal robot in its base frame at zero, shape (4, 4) [m] each
     axes, points : axes of the model's joints in its world, and points on them, shape (n, 3) [m]
@@ -183,12 +183,12 @@ def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[
 
 
 def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
-    """Check that every body is at its target pose, which one nested in a <frame> is not.
+    """Check that each joint's body is at its target, which one nested in a <frame> is not.
 
     spec : MuJoCo's specification of the changed model; joints : names of the arm's joints
     new : target poses of the joints' bodies in the model's world, shape (4, 4) [m] each
     source : name of the file, for messages
-    Raises InputError.
+    Raises InputError: a body is off by more than 1e-9 [m, or entry of the rotation matrix].
     """
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):

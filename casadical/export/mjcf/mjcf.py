@@ -33,7 +33,7 @@ from casadical.robot.robot import Robot
 TIME_STEP_S = 0.002
 # MJCF attributes of the stiffest constraints that MuJoCo allows.
 HARDEST_IMPEDANCE = {"solref": numbers(2 * TIME_STEP_S, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
-# Name of the model's site at the measured point.
+# Name of the model's site, and of the sensor of its position, at the measured point.
 MEASURED_SITE = "measured"
 
 
@@ -65,7 +65,7 @@ def mjcf(robot: Robot, *, named: bool = True) -> MjcfExport:
     a four-bar joint3 is the crank, joint3_driven the link); actuators drive1 .. take the joint
     variable [rad or m] as `ctrl`; the site and sensor `measured` are the measured point.
 
-    named : whether joints and actuators get the names of the robot's joints, where it has some
+    named : whether joints and actuators get the robot's own names, see `name_joints`
     """
     parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
@@ -108,7 +108,7 @@ def mjcf(robot: Robot, *, named: bool = True) -> MjcfExport:
 
 
 def name_joints(root: ET.Element, robot: Robot) -> None:
-    """Give joints and their actuators the names that the robot's joints have, where all are unlike."""
+    """Rename joints and actuators as the robot's joints if all have names, distinct and unused."""
     names = [row.name for row in robot.joints]
     taken = {str(node.get("name")) for node in root.iter("joint")} - {f"joint{i}" for i in robot.numbers}
     if not all(names) or len(set(names)) < robot.n or taken & set(names):
@@ -151,7 +151,7 @@ def counterparts(robot: Robot) -> Counterparts:
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
     load = np.zeros(robot.n)
-    if robot.effects:  # mean magnitude of each joint's gravity torque, as a share of its peak
+    if robot.effects:  # mean magnitude of each joint's gravity torque divided by its peak
         bare = robot.with_only(())
         q = np.random.default_rng(0).uniform(*robot.limits, (256, robot.n))
         tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
@@ -167,7 +167,7 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
     """Add the bodies of base and links, with joints and masses, to an MJCF element.
 
     world : the element of the world body; parts : what effects add to the model
-    Returns the element of the last link's body
+    Returns the element that carries the tool: the body of the last link
     """
     base = add_body(world, "base", robot.base.T)
     if np.isfinite(parts.base).any():
@@ -229,10 +229,7 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
 
 
 def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
-    """Add the site of the measured point and, unless it is None, the payload to the last body.
-
-    last : element of that body
-    """
+    """Add the measured point's site and the payload, if not None, to the last link's body."""
     ET.SubElement(last, "site", {"name": MEASURED_SITE, **place(robot.tool.T)})
     if payload is not None:
         body = add_body(last, "payload", frame(np.eye(3), np.asarray(payload.com)))

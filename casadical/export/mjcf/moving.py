@@ -2,11 +2,11 @@
 
 Each joint has dry friction, damping and armature; its actuator has the servo's gain, constant
 torque and limit, and its `ctrl` is the command. Delay and filter of commands are contained in
-damping and armature, so that there is no history to fill before the first step. A stop is the end
-of a joint's range. Bodies have their inertias. A spring between servo and link is an additional
-joint. A surface on which the tool came to rest is a plane,
-which a ball at the measured point touches without friction. The same numbers by joint names, as
-JSON, are for actuator models of other simulators (Isaac Lab, Genesis).
+damping and armature, so that there is no history to fill before the first step. Stops on both sides
+replace a joint's range. Bodies have their inertias, estimated ones if unknown. A spring between
+servo and link is an additional joint. A surface on which the tool came to rest is a plane, which a
+ball at the measured point touches without friction. The same numbers by joint names, as JSON, are
+for actuator models of other simulators (Isaac Lab, Genesis).
 """
 
 from collections.abc import Iterator
@@ -116,7 +116,7 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
     root : root element of the model
     height : height of the measured point in contact above the origin of the measuring frame, along
-        the vertical [m]; None: there is no plane
+        the vertical [m]; None: there is no plane, nor without gravity
     """
     world, (option,) = root.find("worldbody"), root.iter("option")
     gravity = np.array([float(word) for word in str(option.get("gravity")).split()])
@@ -150,9 +150,9 @@ def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
 
 
 def driven(text: str, log: JointLog) -> Array:
-    """Return the positions of a model in MuJoCo that follows a log's commands, (rows, joints) [rad].
+    """Return a MuJoCo model's joint positions under a log's commands, (rows, joints) [rad or m].
 
-    Each run starts at rest at its first readings; no later reading is used.
+    Each run starts at rest at its first logged positions; no later ones are used.
 
     text : model of `moving_mjcf`; Raises InputError: MuJoCo is not installed.
     """
@@ -177,7 +177,9 @@ def driven(text: str, log: JointLog) -> Array:
 
 
 def replay_in_words(robot: Robot, text: str, log: JointLog | None = None) -> str:
-    """Return a sentence on how a model moves in MuJoCo: its errors, and those of casadical's replay.
+    """Return a sentence on the rms errors of a model in MuJoCo, and of casadical's replay.
+
+    Without MuJoCo the sentence says that there is no replay.
 
     text : model of `moving_mjcf`; log : whose commands the model follows; None: sines of 8 s, where
         the replays are compared with each other
@@ -231,9 +233,10 @@ def _unrepresented_drive_properties(robot: Robot) -> Iterator[str]:
 
 
 def omitted_drive_parameters(robot: Robot) -> tuple[str, ...]:
-    """Return a tuple of one sentence on drive parameters that a URDF omits; empty without any.
+    """Return a tuple of one sentence on drive parameters that a URDF omits.
 
-    It states the largest droop under gravity [mrad] and the largest delay [ms].
+    It states the largest droop under gravity [mrad], the largest delay [ms] and a surface. It
+    is empty unless `has_motion_parameters`.
     """
     if robot.drive is None or not has_motion_parameters(robot):
         return ()

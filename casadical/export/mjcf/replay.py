@@ -1,8 +1,8 @@
 """Replay measured poses in MuJoCo: distances of the model's point from the measured ones.
 
-There are three models: the nominal robot with fitted base and tool, the calibrated one, and the
-calibrated one with the diagnosed causes. All are identified from one part of the poses and replayed
-at the others.
+There are two or three models: the nominal robot with fitted base and tool, the calibrated one, and
+if any causes were found, the one with these. All are identified from one part of the poses and
+replayed at the others.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,8 +29,8 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
-# Fraction of the poses from which models are identified, and of those at which they are replayed;
-# their sum is just below one, as rounding must not raise it above.
+# Fraction of the poses from which models are identified, and of those at which they are replayed.
+# Their sum is 0.999: rounding must not raise it above one.
 REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
@@ -42,7 +42,8 @@ class ReplayedModel:
     export : MuJoCo model of the robot
     errors : distances of the simulated points from the measured ones, shape (n,) [m]
     apart : distances of the simulated points from casadical's own predictions, shape (n,) [m]
-    lacking : labels of effects that the simulator cannot represent
+    lacking : labels of the robot's effects that the simulator cannot represent; effects of the
+        measurement are added to its points and do not count
     """
 
     name: str
@@ -58,10 +59,7 @@ class ReplayedModel:
 
     @cached_property
     def interval(self) -> Array:
-        """Return lower and upper end of the mean error's 95 % bootstrap interval, shape (2,) [m].
-
-        The poses are resampled.
-        """
+        """Return the 95 % interval of the mean error, by resampling poses (bootstrap), (2,) [m]."""
         rng, n = np.random.default_rng([0, len(self.errors)]), len(self.errors)
         drawn = self.errors[rng.integers(0, n, (1000, n))].mean(axis=1)
         return np.asarray(np.quantile(drawn, [0.025, 0.975]))
@@ -74,7 +72,7 @@ class Replay(Result):
     source : name of the measurements
     robot : name of the robot
     stages : replayed models: nominal, calibrated and, if there are causes, with these
-    diagnosis : diagnosis whose causes the last model has; None: without one
+    diagnosis : diagnosis whose causes, if any, the last model has; None: without one
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -119,8 +117,8 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
     Effects of the measurement (a frame that drifts, a reflector's offset) are not in the MuJoCo
     model: they are added to the point that MuJoCo finds.
 
-    Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: the
-    simulator finds no equilibrium.
+    Raises InputError: no positions, MuJoCo is not installed, or the joints are those of another
+    robot; ConvergenceError: the simulator finds no equilibrium.
     """
     if m.position is None:
         raise InputError(f"{m.source}: of kind {m.kind}; positions are needed to replay")
@@ -165,8 +163,8 @@ def replay_campaign(
 def replay_diagnosis(found: Diagnosis) -> Replay:
     """Replay a diagnosed campaign, with all values identified again from part of the poses.
 
-    Outliers are excluded. The replayed poses have no influence on the values, though they had one
-    on the choice of the causes; `replay_campaign` excludes them from that, too.
+    Outliers are excluded. The replayed poses do not enter the fit of the values, though they did
+    enter the noise and the choice of the causes; `replay_campaign` excludes them from these, too.
 
     found : a diagnosis
     Raises InputError: MuJoCo is not installed; ConvergenceError: Ipopt finds no optimum, or the
@@ -193,9 +191,10 @@ def _stages(
     with_causes: Callable[[], Robot],
     show: Show = silent,
 ) -> tuple[ReplayedModel, ...]:
-    """Return the replayed models: nominal, calibrated, and `with_causes()` if there are causes.
+    """Return the replayed models: nominal, calibrated, and `with_causes()` if causes have effects.
 
-    The first two are identified from `fitted`; all are replayed at `held_out`.
+    The first two are identified from `fitted`, the nominal one, which is rigid, in base and tool
+    only; all are replayed at `held_out`.
 
     found : diagnosis that names the causes
     with_causes : function that returns the robot with them
@@ -253,17 +252,14 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
 
 
 def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
-    """Return the models that are shown.
-
-    The last one is omitted if MuJoCo has a counterpart of none of its causes.
-    """
+    """Return the models that are shown: not that with causes if it is `lacking` all of them."""
     last = replayed.stages[-1]
     causes = replayed.diagnosis.effects() if replayed.diagnosis else ()
     return replayed.stages[:2] if set(last.lacking) >= {e.label for e in causes} else replayed.stages
 
 
 def replay_figure(replayed: Replay, floor: float) -> Figure:
-    """Return the figure of each model's mean error [mm] with its interval.
+    """Return the figure of each shown model's mean error [mm] with its 95 % interval.
 
     floor : mean error that noise alone would cause [m]
     """
