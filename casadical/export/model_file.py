@@ -168,10 +168,7 @@ def robot_model(
 
 
 def calibrated(folder: Path) -> Calibration:
-    """Return the calibration of a problem folder by the last of its methods.
-
-    Raises InputError, ConvergenceError.
-    """
+    """Return the calibration of a problem folder by its last method, or raise CasadicalError."""
     problem = read_problem(folder)
     return calibrate(problem, method=problem.methods[-1])
 

@@ -26,10 +26,7 @@ def template(name: str) -> str:
 
 @cache
 def _short() -> dict[str, str]:
-    """Return the short templates by name, read from one file per language.
-
-    Each template follows a line `==== NAME`.
-    """
+    """Return the short templates by name; each follows a line `==== NAME` in one of the files."""
     text = "".join(_read(f"parts.{language}") for language in ("c", "h", "st"))
     return dict(part.split("\n", 1) for part in text.split("==== ")[1:])
 

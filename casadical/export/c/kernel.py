@@ -95,10 +95,7 @@ class Manifest(BaseModel):
 
     @staticmethod
     def read(export: Path) -> "Manifest":
-        """Return the manifest of an export folder.
-
-        Raises InputError: it is missing or damaged.
-        """
+        """Return the manifest of an export folder. Raises InputError: it is missing or damaged."""
         path = export / "manifest.json"
         if not path.is_file():
             raise InputError(f"{export} has no manifest.json; give a folder that `casadical export c` wrote")

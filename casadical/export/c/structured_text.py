@@ -113,10 +113,7 @@ def _array(name: str, kind: str, entries: Iterable[str]) -> str:
 
 
 def _laid_out(text: str) -> str:
-    """Return the text with short sections, loops and conditions joined into one line.
-
-    Lines that are too long are broken.
-    """
+    """Return the text with short sections, loops, conditions on one line and long lines broken."""
 
     # Largest number of characters of a line of structured text.
     line_length = 118

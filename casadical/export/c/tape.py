@@ -154,10 +154,7 @@ class _Builder:
         return None
 
     def _half(self, k: int, negate: bool) -> int:
-        """Return the node index of half of node k, or of minus half (`negate`).
-
-        A factor 2 that the node has is dropped.
-        """
+        """Return the index of half of node k, or minus half (`negate`); its factor 2 is dropped."""
         node = self.nodes[k]
         if node.op == "neg":
             return self._half(node.args[0], not negate)
@@ -217,10 +214,7 @@ def tape_of(function: casadi.Function) -> Tape:
     inputs = iter([builder.add("input", value=float(k)) for k in range(sum(sizes))])
 
     def operation(name: str, *args: int) -> int:
-        """Return the node index of an operation's result.
-
-        Raises InputError: the generated C does not have the operation.
-        """
+        """Return the node index of a result, or raise InputError if the C lacks the operation."""
         node = builder.operation(name, *args)
         if node is None:
             allowed = ", ".join(sorted({*_EQUAL_OPERATIONS.values(), *_COMPOSED_OPERATIONS}))

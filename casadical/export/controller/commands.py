@@ -89,9 +89,9 @@ def export_c(
 ) -> Export:
     """Write the C of a correction, a network or curves from robot files, compiled and compared.
 
-    sources : robot files and compensator file
+    sources : robot files and compensator file; the calibrated robot must be a file or a folder
     folder : folder in which the C is written
-    what : `command`, the correction of commands; `network` or `curves`, the compensator or the
+    what : "command", the correction of commands; "network" or "curves", the compensator or the
         joints' error curves alone
     steps : as of `command_of`
     correct : "position" or "pose", what a command corrects
@@ -99,7 +99,7 @@ def export_c(
     name : prefix of the C functions; None: from the robot's name
     real, languages, overwrite, also : as of `write_c`
     Returns the export, whose `about` says in words what was made and omitted
-    Raises InputError.
+    Raises InputError: an option or a source that cannot be used; CasadicalError as of `write_c`.
     """
     if real not in ("float", "double"):
         raise InputError(f"--real {real}: unknown; allowed: float, double")
@@ -148,7 +148,7 @@ def export_c(
 
 
 def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[str]:
-    """Return sentences on omitted effects, valid joint range, payload and times of a command."""
+    """Return sentences on omissions, valid joint range, payload, frame and times of a command."""
     mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
@@ -169,9 +169,9 @@ def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[st
 def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
     """Return the correction that moves the real tool to where the nominal robot has it.
 
-    The nominal robot is rigid and without effects, as a controller computes. The box is the
-    calibrated robot's joint limits [rad or m], within the readings that the compensator's training
-    saw; the measured poses may cover less of it.
+    The nominal robot is rigid and without effects, as a controller computes. Commands and box are
+    the controller's readings [rad or m]. The box is the calibrated robot's joint limits, within the
+    range of the compensator's training; the measured poses may cover less of it.
 
     Joints change by the least that is needed; a metre of a linear joint counts as a radian of the
     others. Errors in directions in which the joints cannot move the tool (`freedom_of`) remain.
@@ -222,11 +222,11 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
 def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
     """Return real and nominal robot in their own base frame, and the rotation into it, (3, 3).
 
-    The rotation is from the measuring frame into the base frame. The real robot is the calibrated
-    one with the effects that a controller can evaluate, the nominal one is rigid and without
-    effects.
+    The rotation is from the measuring frame. The real robot is the calibrated one with the effects
+    that a controller can evaluate, the nominal one is rigid and without effects. Both have the same
+    readings of the controller, and the real tool if it is shared.
 
-    Raises InputError.
+    Raises InputError: no nominal robot, one of other joints, or as of `followed`.
     """
     if sources.nominal is None:
         raise InputError(
@@ -248,6 +248,8 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
 def network_of(sources: Sources) -> NetworkFunction:
     """Return the compensator: joints [rad or m] -> position correction [mm] in the measuring frame.
 
+    The joints are the variables of the robot file's rows, even where a controller counts otherwise.
+
     Raises InputError: where `sources` names no compensator, or one that was refused when it was
     trained.
     """
@@ -264,11 +266,11 @@ def network_of(sources: Sources) -> NetworkFunction:
 
 
 def curves_of(sources: Sources) -> CurveFunction:
-    """Return the joints' error curves: joint readings [rad] -> true angle minus reading [rad].
+    """Return the joints' error curves: controller's readings -> true ones minus these [rad or m].
 
     They serve a controller that has the rest of the calibration in its own kinematics. The box is
-    the robot's joint limits.
-    Raises InputError: where the robot has no `joint_error_curve`.
+    the robot's joint limits, in readings.
+    Raises InputError: the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
     curves = functions.joint_curves(robot)
@@ -310,7 +312,7 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 def measured_range(robot: Robot) -> tuple[str, ...]:
     """Return a tuple of one sentence on the joint ranges [deg or mm] of the calibration's poses.
 
-    It is empty if they are unknown.
+    The ranges are the controller's readings. The tuple is empty if they are unknown.
     """
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     if len(ranges):
@@ -348,10 +350,10 @@ def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
     """Return the calibrated robot with the effects that a controller can evaluate, and omissions.
 
     The omissions are a sentence on each effect of the measurement and on each that has other
-    conditions than joints and payload, the only ones that a controller knows.
+    conditions than joints and payload, the only ones that a controller knows. The robot has the
+    payload of `sources`.
 
-    Raises InputError that states the position error without them, unless `leave_out` is set or only
-    effects of the measurement are omitted.
+    Raises InputError: robot effects are omitted without `leave_out`, or a payload is not allowed.
     """
     robot = _with_payload(robot_of(sources.robot), sources.payload_kg)
     omissions = []
@@ -385,10 +387,7 @@ def _with_payload(robot: Robot, payload_kg: float | None) -> Robot:
 
 
 def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
-    """Check that real and nominal robot have the same joints and closed loops.
-
-    Raises InputError.
-    """
+    """Check that both robots have equal joints and closed loops. Raises InputError if not."""
     loops = [[(loop.driven, loop.carrier) for loop in robot.loops] for robot in (real, nominal)]
     for i, (a, b) in enumerate(zip(real.units, nominal.units, strict=False), 1):
         if a != b:
@@ -406,9 +405,9 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
 
 
 def _refuse_far_apart(command: Command, sources: Sources) -> None:
-    """Check that real and nominal tool are within 100 mm of each other (median).
+    """Check that both tools are within 100 mm of each other, in the median of random joints.
 
-    Raises InputError.
+    Raises InputError: they are not.
     """
     q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
     apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
@@ -443,7 +442,7 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
 
 
 def prefix_of(name: str) -> str:
-    """Return a prefix of C functions made of a robot's name: lower case, at most 24 characters."""
+    """Return a C prefix made of a robot's name: a letter, then a-z, 0-9 or _, at most 24."""
     words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
 

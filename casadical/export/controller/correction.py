@@ -56,7 +56,7 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     """Return the corrector that calls the C in an export folder, which is compiled here.
 
     trust : whether the C of a folder that was not exported here is compiled and run, as of `load`
-    Raises InputError.
+    Raises InputError: as of `load`, or the folder holds no correction of a command.
     """
     try:
         kernel = load(folder, trust=trust)
@@ -107,7 +107,8 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
     """Return corrected joint targets, shape (k, n) [rad or m], and the name of each one's status.
 
-    Targets whose status is none of `CORRECTED_STATUSES` are returned unchanged.
+    Targets whose status is none of `CORRECTED_STATUSES` are returned unchanged. The names are those
+    of `Status`, LEAVES_BOX (corrected joints outside the box) and POSITION_ONLY (by the fallback).
 
     q : joint targets, shape (k, n) [rad or m]
     """

@@ -25,8 +25,8 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
     form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV),
         or `xacro`
     checksum : checksum of the controller's own calibration, for `ur`: the driver compares it
-    Raises InputError: another form, a robot with closed loops, or one that has not the structure of
-    the form.
+    Raises InputError: another form, a robot with closed loops or without the structure of the form,
+    or as of `own_robots`. Effects are omitted without being refused.
     """
     if form not in DRIVER_FORMS:
         raise InputError(f"--to {form}: unknown; allowed: {', '.join(DRIVER_FORMS)}")
@@ -106,9 +106,9 @@ def standard_row_matrix(theta: float, d: float, a: float, alpha: float) -> Array
 
 
 def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
-    """Return the kinematics YAML of the UR driver: link origins at zero joint readings.
+    """Return the kinematics YAML of the UR driver: link origins [m, rad] at zero joint variables.
 
-    Raises InputError: the nominal robot does not have the DH structure of a UR.
+    Raises InputError: the nominal robot's twists are more than 3 deg from those of a UR.
     """
     twists = np.array([j.alpha for j in nominal.joints])
     # Names that the UR driver gives to a robot's links, in the order of the joints.
@@ -137,7 +137,7 @@ def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
 def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
     """Return the CSV text of the standard DH table [deg, mm] with differences from the nominal one.
 
-    Rows for base and tool follow those of the joints.
+    Rows for base and tool, x y z [mm] and roll pitch yaw [deg], follow those of the joints.
     """
     like = standard_dh(nominal, np.zeros(nominal.n))[1][:, 0]
     base, rows, tool = standard_dh(real, like)
@@ -153,7 +153,7 @@ def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
 
 
 def _modified_table(real: Robot, _nominal: Robot, _: str) -> str:
-    """Return the CSV text of the real robot's modified DH table."""
+    """Return the CSV text of the real robot's modified DH table, see `modified_dh`."""
     rows = modified_dh(real)
     texts = [["" if v is None else f"{v:.12f}" if isinstance(v, float) else str(v) for v in r.values()] for r in rows]
     return csv_text([list(rows[0]), *texts])

@@ -3,7 +3,7 @@
 The error curves are one function that the C calls as a table, in the correction of a command and
 alone: a curve of 60 harmonics takes some 600 operations, a table some 30. The model takes the
 curves' values as parameters, so that everything else in it (deflections, other effects) depends on
-the readings, as in the robot.
+the joint variables without them, as in the robot.
 """
 
 from collections.abc import Mapping
@@ -43,8 +43,9 @@ class GivenAngles(Effect):
 def joint_curves(robot: Robot) -> ca.Function | None:
     """Return the CasADi function of the joints' error curves, q[n] -> dq[n] [rad].
 
-    dq is true angle less reading, 0 for a joint whose coefficients are zero. The function is called
-    and not inlined, so that the C makes tables of it. None is returned for a robot without curves.
+    q are the variables of the DH rows, dq true angles less q, 0 for a joint without any.
+    The function is called and not inlined, so that the C makes tables of it. None is returned for a
+    robot without curves.
 
     Raises InputError for a coefficient that is not finite.
     """
@@ -69,7 +70,7 @@ def without_curves(robot: Robot) -> Robot:
 def variables_of(robot: Robot, q: ca.SX) -> ca.SX:
     """Return the variable of each DH row, shape (n,), at the controller's readings q[n] [rad or m].
 
-    Those of coupled and locked joints follow from the others, so that no correction moves them.
+    Readings of coupled and locked joints are replaced by those that follow from the others.
     """
     led = {i: joint.coupling for i, joint in enumerate(robot.joints) if joint.coupling}
     if led:
@@ -81,10 +82,11 @@ def variables_of(robot: Robot, q: ca.SX) -> ca.SX:
 
 
 def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
-    """Return symbolic position p[3] [m] and orientation R[3x3] of the tool at readings q[n].
+    """Return the tool's symbolic p[3] [m] and rotation R[3x3] at the controller's readings q[n].
 
     They are in the frame of the robot's model: the measuring frame, or the base frame where the
-    base is the identity. Error curves are a function call, see `joint_curves`.
+    base is the identity; other conditions than joints have their declared values. Error curves are
+    a function call, see `joint_curves`.
     """
     curves = joint_curves(robot)
     values, q = robot.parameters.values, variables_of(robot, q)
@@ -103,7 +105,7 @@ def tool_function(
 ) -> ca.Function:
     """Return the CasADi function NAME: q[n] [rad or m] -> p[3] [m], or -> (p[3] [m], R[3x3]).
 
-    p and R are the tool's pose in the frame of the robot's model, as of `pose_of`.
+    q are controller's readings, p and R the tool's pose in the model's frame, as of `pose_of`.
 
     orientation : whether R is an output
     turn : rotation from the measuring frame, in which the network was trained, into the robot's
@@ -119,9 +121,9 @@ def tool_function(
 
 
 def deflected_function(robot: Robot) -> ca.Function:
-    """Return the CasADi function of readings q that gives the joints deflected under gravity.
+    """Return the CasADi function of the controller's readings deflected under gravity.
 
-    bent:(q[n])->(q + compliance times torque of each joint, n numbers) [rad or m]
+    bent:(q[n])->(q + compliance times torque of each joint, in readings, n numbers) [rad or m]
     """
     q = ca.SX.sym("q", robot.n)
     soft = ca.DM([j.compliance or 0.0 for j in robot.joints])

@@ -23,8 +23,8 @@ from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
-# Smallest singular value of the Jacobian, in position and scaled orientation, of a pose that is not
-# singular [m/rad].
+# Smallest singular value of the Jacobian of a pose that is not singular [m/rad]: in position and
+# scaled orientation, or in position alone where only that counts.
 SINGULAR_BELOW_M_PER_RAD = 0.02
 
 
@@ -32,11 +32,11 @@ SINGULAR_BELOW_M_PER_RAD = 0.02
 class Inverse:
     """Solution of the inverse kinematics for many poses.
 
-    q : joint readings, shape (k, n) [rad or m]
+    q : joints as the pose function takes them: controller's readings, shape (k, n) [rad or m]
     rest_m : remaining position error, shape (k,) [m]
     rest_rad : remaining orientation error, shape (k,) [rad]; 0 where it does not count
     singular : whether the pose is nearly singular, shape (k,): in the weakest direction the joints
-        move the tool by less than 0.02 m/rad
+        move the tool by less than `SINGULAR_BELOW_M_PER_RAD`
     inside : whether every joint is within its limits, shape (k,)
     """
 
@@ -48,15 +48,15 @@ class Inverse:
 
     @property
     def reached(self) -> Array:
-        """Return whether the pose is reached to 1e-6 m and 1e-6 rad, boolean, shape (k,)."""
+        """Return whether errors are below 1e-6 m and 1e-6 rad, whatever the limits, shape (k,)."""
         return (self.rest_m < 1e-6) & (self.rest_rad < 1e-6)
 
 
 def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) -> Inverse:
     """Return the joints that bring the tool to k poses, by Newton's method from a start.
 
-    The model has compliance, effects that depend on joints and declared payload only, and the
-    file's base and tool. For a pose that cannot be reached an error remains; see `Inverse.reached`.
+    The model has compliance, effects at declared payload and conditions, and the file's base and
+    tool; joints are controller's readings. For a pose that cannot be reached an error remains.
 
     robot : calibrated robot
     p : shape (k, 3) [m]: positions of the measured point in the measuring frame
@@ -92,7 +92,7 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
     """Return the numbers of directions in which joints move, and about which they rotate, the tool.
 
     The rotations are those at a constant position; most robots have (3, 3). A direction counts if,
-    somewhere in the joint limits, its singular value exceeds `SINGULAR_BELOW_M_PER_RAD`.
+    at any of 50 random poses, its singular value exceeds `SINGULAR_BELOW_M_PER_RAD`.
     """
     poses = np.random.default_rng(0).uniform(*robot.reading_limits, (50, robot.n))
     J = np.nan_to_num(Newton(pose_function(robot)).evaluated(poses, np.zeros((len(poses), 12)))[1])
@@ -224,9 +224,9 @@ class Postures:
     def _signs(self) -> ca.Function:
         """Return the function of the numbers whose signs define a posture.
 
-        signs:(q[6])->(distance of the wrist before axis 1 [m], bend of the elbow, reading of joint
-        5 [rad], by how much axes 4 and 6 miss the wrist's centre [m]). Before axis 1 is the side to
-        which the root frame's x axis points where joint 1 reads zero.
+        signs:(q[6])->(distance of the wrist before axis 1 [m], bend of the elbow [m^2], reading of
+        joint 5 [rad], distance of axes 4 and 6 from the wrist's centre [m]). Before axis 1 is where
+        the root frame's x axis points where joint 1 reads zero.
         """
         q = ca.SX.sym("q", 6)
         values = {p.name: ca.SX(p.value) for p in self.nominal.parameters}
@@ -275,6 +275,8 @@ class Postures:
 
     def solutions(self, T: Array, posture: Posture, turns: Turns, wanted: tuple[int, ...]) -> Array:
         """Return all joints found that bring the flange to a pose with a posture, (k, n) [rad].
+
+        They are within the limits; solutions within 1e-5 rad of each other count once.
 
         T : pose of the flange in the robot's own base frame, shape (4, 4) [m]
         turns : function that counts the turns of joints

@@ -89,7 +89,7 @@ class Cell:
         """Return correction and models for a tool.
 
         tool : pose of the tool in the controller's flange frame, shape (4, 4) [m]; None: the robot
-            file's tool
+            file's tool. An export folder has its own tool, whatever this one is
         """
         if self.folder:
             return ToolModels(self.folder)
@@ -173,8 +173,8 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
     """Return the correction of each target, or the reason why it remains unchanged.
 
     cell : robots and frames
-    Raises InputError where the nominal robot does not reach a pose: then the frames are not those
-    of the controller, and other targets would be corrected at places where the robot never is.
+    Raises InputError: the nominal robot does not reach a pose, and `leave_unreached` is not set.
+    Then the frames are not the controller's, and other targets would be corrected at wrong places.
     """
     results = _solved(language, targets, cell)
     unreached = [r.target for r in results if r.status == "UNREACHABLE"]
@@ -303,8 +303,8 @@ def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int,
 def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[str]:
     """Return options --flange or --root with which the nominal robot reaches all targets, as text.
 
-    Their frames are those of the cell, rotated by quarter turns. There are at most three, those of
-    the smallest rotation first.
+    Their frames are those of the cell, rotated by quarter turns, the root about its z axis only.
+    There are at most three, those of the smallest rotation first.
     """
     turns = [
         np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
@@ -339,7 +339,8 @@ def _rewritten(
 ) -> Iterator[CorrectedTarget]:
     """Yield corrected targets with new texts, and the tool's deviation with the numbers as written.
 
-    Targets whose corrected joints leave their configuration or the limits remain unchanged.
+    Targets whose corrected joints leave their configuration or the limits, or whose written pose
+    the nominal robot does not reach, remain unchanged.
 
     made : models of the targets' tool
     old, new : joints before and after the correction, each shape (k, n) [rad or m]
@@ -414,7 +415,7 @@ def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
     """Check that no target was taught with the controller's absolute accuracy on.
 
     source : name of the program, for the message
-    Raises InputError.
+    Raises InputError: one was.
     """
     for target in targets:
         if target.accurate:

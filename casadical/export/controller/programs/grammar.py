@@ -126,7 +126,7 @@ def is_number(node: Any) -> bool:
 
 
 def integers(texts: Iterable[Any]) -> tuple[int, ...]:
-    """Return the integers of texts of numbers; an empty tuple if one is not below 2^31 in size."""
+    """Return texts of numbers as integers, truncated; () if one is not below 2^31 in magnitude."""
     values = [float(str(text)) for text in texts]
     return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
 

@@ -283,7 +283,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
 
 
 def _bits(token: Token | Tree[Token] | None) -> int | None:
-    """Return the integer of a decimal, binary ('B..') or hexadecimal ('H..') literal, else None."""
+    """Return the integer of a decimal or a literal 'B..' or 'H..'; None from 2^31 or for others."""
     if not isinstance(token, Token) or token.type not in ("NUMBER", "BITS"):
         return None
     text = str(token)

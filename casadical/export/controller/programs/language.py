@@ -32,10 +32,7 @@ class ProgramLanguage(ABC):
     report_beside: ClassVar[bool] = True
 
     def decoded(self, source: str, content: bytes) -> str:
-        """Return a program's bytes as text, one character for each byte.
-
-        Raises InputError for what is not text.
-        """
+        """Return a program's bytes as text, one character for each, or raise InputError."""
         return text_of(source, content)
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
@@ -64,7 +61,7 @@ class ProgramLanguage(ABC):
     def matrix(self, values: Array) -> Array:
         """Return the transform, shape (4, 4) [m], of a pose's numbers, shape (k,) [SI].
 
-        Raises InputError.
+        Raises InputError: numbers that are no pose, or a language without poses.
         """
 
     @abstractmethod
@@ -72,7 +69,8 @@ class ProgramLanguage(ABC):
         """Return the numbers of a pose, shape (k,) [SI], nearest to those of another pose.
 
         T : the pose, shape (4, 4) [m]
-        like : numbers of the other pose, shape (k,) [SI], for angles are equivalent up to turns
+        like : numbers of the other pose, shape (k,) [SI]: angles are equivalent up to turns
+        Raises InputError: a language without poses.
         """
 
     def turns(self, q: Array) -> tuple[int, ...]:
@@ -90,10 +88,7 @@ class ProgramLanguage(ABC):
         return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """Return a slow motion to joints [deg or mm], as program lines.
-
-        Raises InputError where the language has none.
-        """
+        """Return lines of a slow motion to joints [deg or mm]; InputError if there are none."""
         raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
 
     def frame(self, where: str, values: Array) -> Array:
@@ -164,7 +159,7 @@ def text_of(source: str, content: bytes) -> str:
     """Return a program's bytes as text, one character per byte (Latin-1).
 
     source : name of the program, for messages; content : its bytes
-    Raises InputError: a byte is a control character, as in encrypted or compiled programs.
+    Raises InputError: a control character other than white space, as in compiled programs.
     """
     for place, byte in enumerate(content):
         if byte < 32 and byte not in b"\t\n\r\f\x1a":

@@ -125,7 +125,7 @@ class CorrectedProgram(Result):
         """Return figures of the corrected targets by name, for the JSON file [mm, deg].
 
         They are mean and maximum of moved_mm, and the maxima of the real tool's deviation before
-        and after (off_nominal_mm_max, off_nominal_deg_max).
+        and after (off_nominal_mm_max, off_nominal_deg_max); unknown ones are missing.
         """
         figures: dict[str, dict[str, float]] = {}
         for name, table in _figures(self.fine).items():
@@ -141,7 +141,7 @@ class CorrectedProgram(Result):
         return {**plain(self), **self.changes}
 
     def blocks(self) -> list[Words | Table]:
-        """Return the report: number of corrected targets, reasons of others, tables of motions."""
+        """Return the report: number of corrected targets, reasons of others (20), motions."""
         fine, refused, language = self.fine, self.refused, self.program.language
         head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
         head += position_only(tuple(r.status for r in fine))
@@ -158,10 +158,7 @@ class CorrectedProgram(Result):
 
 
 def language_named(word: str) -> ProgramLanguage:
-    """Return the language with a word in its class name, or with this suffix.
-
-    Raises InputError.
-    """
+    """Return the first language with this word in its class name or suffix, or raise InputError."""
     for kind in PROGRAM_LANGUAGES:
         if word.lower() in kind.__name__.lower() or f".{word.lower()}" in kind.suffixes:
             return kind()
@@ -185,7 +182,7 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
     """Return a program with its targets, read in the language of its suffix.
 
     given : tools, bases and units from outside the program; joints : number of joints
-    Raises InputError, with the line, where it cannot be corrected.
+    Raises InputError: the program cannot be read, has no targets, or was corrected before.
     """
     language = language_of(path)
     text = language.decoded(str(path), read_bytes(path))
@@ -204,7 +201,7 @@ def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
     """Return a program with each target corrected, or with the reason why it is not.
 
     cell : robots and frames
-    Raises InputError where the nominal robot does not reach poses.
+    Raises InputError: the nominal robot does not reach poses and `leave_unreached` is not set.
     """
     try:
         results = tuple(c.corrected_targets(program.language, program.targets, cell))
@@ -219,10 +216,7 @@ def report_of(path: Path) -> Path:
 
 
 def _refuse_corrected(path: Path, targets: list[Target]) -> None:
-    """Check that no target was corrected before, according to the report next to the program.
-
-    Raises InputError.
-    """
+    """Raise InputError if a target was corrected before, by the report next to the program."""
     if not report_of(path).exists():
         return
     rows = csv.DictReader(io.StringIO(read_bytes(report_of(path)).decode("utf-8", "replace")))
@@ -253,7 +247,7 @@ def _row(r: c.CorrectedTarget) -> list[str]:
 def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
     """Return the computed figures of corrected targets by name, each (k,) or (k, 2) [mm, deg].
 
-    They are moved_mm, off_mm and off_deg of `CorrectedTarget`.
+    They are moved_mm, off_mm and off_deg of `CorrectedTarget`, without unknown ones.
     """
     tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg")}
     figures = {name: [v for v in values if v is not None] for name, values in tables.items()}
@@ -261,7 +255,7 @@ def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
 
 
 def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Table]:
-    """Return tables of the motions of joints and tool by the correction, and of its deviation.
+    """Return tables (mean, maximum) of the tool's deviation, if known, and of what targets moved.
 
     fine : corrected targets; units : "rad" or "m" of each joint's reading
     """
@@ -326,8 +320,8 @@ def correct_file(
 
     Nothing is written.
 
-    sources : robot files, or in place of the robot a folder that `write_c` wrote, which holds all
-        other choices
+    sources : robot file and its others, or in place of the robot a folder that `write_c` wrote,
+        which holds all other choices; a folder is always taken for such an export
     program : file of the program; out : path of the corrected program
     steps, correct : as of `export_c`
     trust : whether C of a folder that was exported elsewhere is compiled and run
@@ -336,7 +330,8 @@ def correct_file(
         flange in the last link's frame; None: they are the same
     data : files of the program in which tools and bases are looked up
     nearest, external_still, leave_unreached : as of `Cell`
-    accuracy_off : whether the controller's own absolute accuracy is off
+    accuracy_off : whether the controller's own absolute accuracy is off; else targets that were
+        taught with it on are refused
     Raises InputError.
     """
     model, oriented = Path(cast(Path, sources.robot)), wants_pose(correct)

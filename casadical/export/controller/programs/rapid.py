@@ -50,7 +50,8 @@ class Rapid(ProgramLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Return the targets of a module, those that must stay unchanged included.
 
-        Raises InputError: the robot has not six joints, or a displacement is switched on.
+        Raises InputError: the robot has not six joints, a displacement is switched on, a target is
+        used with two tools or work objects, or a frame has no numbers or changes.
         """
         if joints != 6:
             raise InputError(f"{source}: a RAPID target has six axes; this robot has {joints}")
@@ -105,7 +106,8 @@ class _Module:
     changed : line in which a variable gets a value after its declaration, by its name
     frames : transforms (4, 4) [m] of tools and work objects, or the reason why one cannot be used,
         by data type and name
-    uses : line of a target's first motion, and its tool and work object there, by its name
+    uses : line of a target's first motion, and its tool and work object there, by its key, as of
+        `targets`
     """
 
     def __init__(self, language: Rapid, source: str, parsed: ParsedText, given: Given) -> None:
@@ -243,10 +245,7 @@ class _Module:
         return self._pose(value.children[3]) @ self._pose(value.children[4])
 
     def _pose(self, value: Tree[Token] | Token) -> Array:
-        """Return the transform, shape (4, 4) [m], of a RAPID pose.
-
-        Raises InputError: numbers are missing.
-        """
+        """Return the transform, (4, 4) [m], of a RAPID pose; InputError without its numbers."""
         tokens = value.scan_values(lambda t: isinstance(t, Token)) if isinstance(value, Tree) else [value]
         numbers = [float(str(t)) for t in tokens if t.type == "NUMBER"]
         line = value.meta.line if isinstance(value, Tree) else value.line

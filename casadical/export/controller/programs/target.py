@@ -18,7 +18,8 @@ RAD_PER_DEG = np.pi / 180
 class Number:
     """A number in a program's text.
 
-    start, stop : index of its first character in the text, and one past its last
+    start, stop : index of its first character in the text, and one past its last (in a CSV table:
+        its row and column, from 0)
     text : its characters
     unit : factor of the number to SI
     decimals : number of decimals with which it is written; None: as many as it has, and enough for
@@ -46,7 +47,7 @@ class Number:
         return text[1:] if float(text) == 0 and text.startswith("-") else text
 
     def differs(self, text: str) -> bool:
-        """Return whether a text stands for another number."""
+        """Return whether a text stands for another number; always True of quoted ones ('B101')."""
         return self.text.startswith("'") or text.startswith("'") or float(self.text) != float(text)
 
 
@@ -68,8 +69,7 @@ class Target:
     """A motion target of a program.
 
     line, name : line of the program, and name of the target
-    joints : whether its numbers are joint readings; otherwise they are a pose in the language's own
-        form
+    joints : whether its numbers are joint readings; else they are a pose in the language's form
     numbers : its numbers in the text
     posture : arm configuration that the program states; None: none
     turns : turns of joints that the program states, as the language counts them; None: none

@@ -49,7 +49,8 @@ class UrScript(ProgramLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Return the targets of a program, those that must stay unchanged included.
 
-        Raises InputError: the robot has linear joints, or the tool centre point changes.
+        Raises InputError: the robot has linear joints, the tool centre point changes, or numbers
+        look like mm or degrees.
         """
         if "m" in given.units:
             raise InputError(f"{source}: URScript has no linear axes; joint {given.units.index('m') + 1} is one")
@@ -134,10 +135,7 @@ class _Program:
                     self._call(call)
 
     def _call(self, call: Tree[Token]) -> None:
-        """Record the targets or the tool of a call.
-
-        Raises InputError: a tool whose length suggests millimetres.
-        """
+        """Record the targets or the tool of a call. Raises InputError: a tool longer than 3 m."""
         name, arguments = str(call.children[0]), parts(call, "argument")
         # Number of targets of each motion command.
         targets_of_motion = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
