@@ -131,7 +131,8 @@ def _understood_by(files: Sequence[Path]) -> Path | None:
 def later_tables(folder: Path) -> tuple[list[Path], float | None]:
     """Return the tables in a problem's folder `campaigns`, and the day of the problem's own table.
 
-    The day, in days since 1970, is that of a copy of the own table in the folder; None without one.
+    Copies of the own table are not returned. The day, in days since 1970, is the last copy's
+    name; None without one.
     """
     own = {read_bytes(table) for table in own_tables(folder)}
     tables = sorted((folder / CAMPAIGNS_FOLDER).glob("*.csv"))
@@ -179,7 +180,7 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
 
 
 def campaign_estimate(path: Path, robot: str | Path | None = None, other: Robot | None = None) -> Estimate:
-    """Return the estimate of one campaign. Raises CasadicalError.
+    """Return the estimate of one campaign. Raises CasadicalError: it cannot be used.
 
     path : robot file, folder of results, problem folder or table
     robot : problem folder or robot file with whose robot and columns a table is read
@@ -246,7 +247,10 @@ def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
 
 
 def day_of(path: Path) -> float | None:
-    """Return the date in a file's or its folder's name, in days since 1970; None without one."""
+    """Return the first date in a file's or else its folder's name, in days since 1970, or None.
+
+    A month without a day counts as its first day.
+    """
     # Pattern of a date in a file's name: 2026-03-14, 2026_03_14, 20260314 or 2026-03. A clock that
     # was not set gives 1970.
     date_pattern = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")

@@ -237,7 +237,7 @@ class Comparison(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """Return the suggested next command in a list of one.
+        """Return the suggested next command in a tuple of one.
 
         It is empty if the last campaign is no table, or there is neither a change nor an
         unexplained residual.

@@ -497,7 +497,7 @@ def _refitted(
 def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
     """Yield ("base", text): by how many mm and deg the base moved in the measuring frame.
 
-    Nothing is yielded if it was not fitted in each campaign, or the readings do not determine it.
+    Nothing is yielded if it was not fitted again in the last campaign, or did not move at all.
 
     names : shared parameters; between : difference of the two campaigns, see `Between`
     """

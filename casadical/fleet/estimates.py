@@ -169,7 +169,7 @@ def estimate(
 
 
 def _outliers(found: Identification) -> Iterator[str]:
-    """Yield a sentence on the poses that an identification excluded as outliers, if any."""
+    """Yield one sentence on the poses that an identification excluded as outliers, if any."""
     out = found.left_out
     if not out:
         return
@@ -251,9 +251,9 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
 
 
 def readings_of(robot: Robot, n: int) -> Array:
-    """Return n random readings within a robot's learnt joint ranges, shape (n, joints) [rad or m].
+    """Return n random joint variables in a robot's learnt ranges, shape (n, joints) [rad or m].
 
-    A robot that was not calibrated has its joint limits instead. The seed is fixed.
+    A robot without known ranges has its joint limits instead. The seed is fixed.
     """
     knowledge = robot.knowledge
     low, high = knowledge.readings.T if knowledge and len(knowledge.readings) else robot.limits
@@ -298,7 +298,8 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
 def _with_noise_of_file(c: Estimate, held_out: tuple[float, int] | None) -> Estimate:
     """Return a campaign whose noise is pooled with that of a robot file.
 
-    It is unchanged if it has enough degrees of freedom, or a noise much larger than the file's.
+    It is unchanged if it has `MIN_FREEDOM` or more, if its noise is much larger than the file's, or
+    without one of the file.
 
     held_out : standard deviation of a coordinate of the file's held-out poses [m], and their number
     """

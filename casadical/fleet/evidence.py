@@ -71,7 +71,7 @@ class Candidate:
 
     kind : joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect
         or another_robot; `touch_model` adds crash and unknown
-    joint : number of a joint or four-bar, from 1; None for other kinds
+    joint : number of a joint or four-bar, from 1, or of an effect's joint; None without one
     names : names of the parameters that change
     columns : directions of the change in the p shared parameters, shape (p, m), in units of the
         parameters' scale
@@ -95,7 +95,7 @@ class Candidate:
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
     """Return those of some parameters that are compared between campaigns, in the given order.
 
-    Harmonics above `MAX_COMPARED_HARMONIC` are excluded; each campaign fits its own.
+    Harmonics above `MAX_COMPARED_HARMONIC` are excluded, as each campaign fits its own.
 
     names : parameters that all campaigns have
     same_tool, same_frame : whether the parameters of the tool and of the base are compared
@@ -106,7 +106,7 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 
 
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return all candidates for changes in the parameters `names`, which span their columns.
+    """Return the candidates for changes of some of the p parameters `names`, at least one each.
 
     robot : robot with the harmonics of its joints as its last effect
     """
@@ -315,9 +315,7 @@ def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array,
 
 
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
-    """Return the log Bayes factor of each change against none, for each size, shape (c, kappas).
-
-    The sizes are those on the grid `KAPPAS`.
+    """Return the log Bayes factor of each change against none for all `KAPPAS`, (c, kappas).
 
     H, b : information, (c, m, m), and score, (c, m), of the changes' m amplitudes
     sizes : usual size of each amplitude, shape (m,)
@@ -339,7 +337,8 @@ def averaged(logs: Array) -> Array:
 def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
     """Return posterior mean, (m,), and covariance, (m, m), of a change's amplitudes, and kappa.
 
-    Kappa is the most probable size of the change on the grid `KAPPAS`.
+    Kappa is the most probable ratio, on the grid `KAPPAS`, of the change's prior standard deviation
+    to its usual size; mean and covariance are in units of the columns.
 
     H, b : information, (m, m), and score, (m,), of the amplitudes
     sizes : usual size of each amplitude, shape (m,)
@@ -361,7 +360,8 @@ def jumps(n: int) -> Array:
 def drifts(times: Sequence[float] | Array) -> Array:
     """Return the factors of drifts, one after each campaign but the last, shape (n - 1, n, 1).
 
-    A factor is 0 up to that campaign and then the time since it, in the unit of `times`.
+    A factor is 0 up to that campaign and then the time since it, in the unit of `times`; the next
+    campaign is the first that shows the drift.
 
     times : time of each campaign, shape (n,)
     """

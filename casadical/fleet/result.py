@@ -23,7 +23,7 @@ from casadical.robot.robot_file import to_toml
 
 # Largest number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
-# Largest number of letters of an error message on the terminal.
+# Largest number of letters of an error message or a robot's notes on the terminal.
 MAX_ERROR_LETTERS = 240
 # Largest number of robots in the table of all robots on the page.
 MAX_ROWS_ON_PAGE = 2000
@@ -107,7 +107,7 @@ class Fleet(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """Return the suggested next command in a list of one, for the first robot to check; else empty."""
+        """Return the next command, for the first robot to check, in a tuple of one or none."""
         return tuple(
             next_step(f"for {r['robot']}", "compare" if r["changes"] else "diagnose", r["folder"])
             for r in records(self._first().head(1))
@@ -247,10 +247,7 @@ class Fleet(Result):
         return some.sort_values("after_mm", ascending=False)
 
     def _to_look_at(self) -> Iterator[Table]:
-        """Yield the table of robots to check first, and that of unusual notes on other robots.
-
-        Empty tables are omitted.
-        """
+        """Yield the tables, unless empty, of robots to check first and of notes on the others."""
         more, some, rows = self.grown, self._first(), []
         for r in records(some.head(MAX_ROWS_SHOWN)):
             said = ["error stands out"] if r["robot"] in self.outliers else []
@@ -398,7 +395,9 @@ def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
 
 
 def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
-    """Return the figure of the residuals in each campaign of each robot, for at most 60 robots.
+    """Return the figure of residuals over the campaigns of robots with several, at most 60.
+
+    Robots that changed or are in `grown` come first.
 
     good : rows of robots that were calibrated
     grown : robots whose last campaign has greater residuals than those before
@@ -452,7 +451,8 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
 def common_departures(c: Common) -> Figure:
     """Return the figure of a type's mean deviations from the drawing and their significance.
 
-    The abscissa is the deviation [mm or mrad], the ordinate its ratio to the standard error.
+    The abscissa is the deviation [mm or mrad; compliances: units of scale], the ordinate its ratio
+    to the standard error.
     """
     sure = np.abs(c.mean) / np.maximum(c.std_error, 1e-12)
     bad = {name for name, _, _ in c.faults}

@@ -33,7 +33,10 @@ def run_fleet(
     with_diagnosis: bool = True,
     show: Show = silent,
 ) -> Fleet:
-    """Calibrate, diagnose and compare every robot of a fleet that is not yet in the store.
+    """Calibrate, diagnose and compare every robot of a fleet without a valid row in the store.
+
+    A row is valid if it is of the robot's present files and without an error, and has a diagnosis
+    if one is asked for.
 
     folders : problem folders, one a robot, or folders that hold them
     store : folder that keeps a Parquet file with the row of each robot

@@ -51,7 +51,7 @@ EMPTY_ROW: dict[str, Any] = {
 def fingerprint(folder: Path) -> str:
     """Return a hash of all files in a problem folder and of those that its problem.toml names.
 
-    It is the first half of a SHA-256, 32 hexadecimal digits; hidden files do not count.
+    It is the first half of a SHA-256, 32 hexadecimal digits; files with a hidden name do not count.
     """
     digest = hashlib.sha256()
     files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
@@ -105,6 +105,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     They are those of its calibration, its diagnosis and the comparison of its campaigns.
 
     place : problem folder; with_diagnosis : whether the robot is diagnosed
+    Raises CasadicalError: its calibration or its first campaign cannot be used.
     """
     whole = read_problem(place)
     problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts

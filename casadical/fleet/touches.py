@@ -177,7 +177,7 @@ class Touches(Result):
     def corrected(self) -> Robot:
         """Return the robot corrected by the posterior mean deviation.
 
-        Its covariance and remaining errors are widened by the posterior covariance.
+        It has a note on this; covariance and remaining errors are widened by the posterior's.
         """
         d, C = self.departure
         scale = np.array([self.model.robot.parameters[n].scale for n in self.model.names])
@@ -240,7 +240,7 @@ class Touches(Result):
 
     @property
     def more_touches(self) -> list[Table]:
-        """Return a list of one table with the readings of additional touches; empty if there are none."""
+        """Return a list of one table with the readings of additional touches, or of none."""
         if self.more is None:
             return []
         keys = list(self.given.reading_units)
@@ -250,7 +250,7 @@ class Touches(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """Return the suggested next command in a list of one; empty where nothing is to be done."""
+        """Return the suggested next command in a tuple of one; empty if there is none."""
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
@@ -397,7 +397,7 @@ def _widened_remaining(
 def changes_in_fleet(path: Path) -> Mapping[str, float]:
     """Return the relative frequency of each kind of change, learnt from a fleet.
 
-    It is `CHANGE_FREQUENCY` plus the number of changes of the kind in the fleet.
+    It is `CHANGE_FREQUENCY` plus the number of times that the fleet's changes name the kind.
 
     path : JSON file that `casadical fleet --json` wrote
     Raises InputError: the file holds no robots.
@@ -427,7 +427,8 @@ def plan_touches(
     room : workspace file; None: the robot's joint limits
     touched : touches of today, to which these are added
     seed : random seed of the search
-    Returns a table with one row of readings and predicted position per touch. Raises InputError.
+    Returns a table with one row per touch: readings of the joints and predicted position
+    Raises InputError.
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
     rest = MM_PER_M * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
@@ -457,16 +458,17 @@ def judge_touches(
     The points are positions in the measuring frame of the calibration.
 
     robot : as of `plan_touches`
-    tables : touched points, a file per day; the last one by date is judged, the others are its
-        history; of more than 30 the last 30 are used
+    tables : touched points, a file per day; the last one is judged (by date, if all have one), the
+        others are its history; of more than 30 the last 30 are used
     tolerance_mm : largest rms error over the joint ranges on which the robot was learnt [mm]; None:
         twice what the file states
     noise_mm : standard deviation of a touched coordinate [mm]; None: unknown
     fleet : JSON file of `casadical fleet --json`, from which frequencies of changes are learnt;
         None: those of `CHANGE_FREQUENCY`
     seed : random seed of the posterior samples
-    Raises InputError: no positions, fewer than two of them, another frame or robot, a file without
-        covariance.
+    Raises InputError: no positions or fewer than two on a day, another frame or robot, a file that
+        states no errors.
+    Returns the verdict; where the touches do not decide, with the poses of two more
     """
     place = result_in(Path(robot))
     arm, _ = without_instrument(read_robot(place))
