@@ -27,7 +27,7 @@ def silent(_text: str) -> None:
     """Ignore a line of progress."""
 
 
-# Largest number of faults of one file that an error message lists.
+# Largest number of faults that one error message lists; the others are counted.
 MAX_FAULTS_SHOWN = 50
 
 
@@ -59,7 +59,7 @@ class Fault:
     """A fault in a column of a table.
 
     source : name of the file
-    rows : its faulty rows; empty where the column is missing
+    rows : numbers of its faulty rows in the file, from 1; empty where the column is missing
     column : name of the column
     value : the first faulty value, or the worst, as text
     wrong : what is wrong with it
@@ -108,8 +108,8 @@ class FaultsError(InputError):
     def joined(errors: Iterable[InputError]) -> InputError:
         """Return one error with the faults of all, without duplicates.
 
-        A fault is dropped if another one is the same in more rows. A single error is returned
-        unchanged.
+        Faults are grouped by file; one is dropped if another is the same in more rows. A single
+        error is returned unchanged.
         """
         all_errors = list(errors)
         faults = list(dict.fromkeys(f for e in all_errors if isinstance(e, FaultsError) for f in e.faults))
@@ -139,7 +139,7 @@ def all_faults(steps: Iterable[Callable[[], object]]) -> None:
 def errors_of(place: str) -> Iterator[None]:
     """Prefix the message of an InputError of the block with a place, such as "FILE: " or "KEY.".
 
-    Raises InputError.
+    Raises InputError, also in place of a FaultsError, whose faults are then in the message only.
     """
     try:
         yield
@@ -148,7 +148,7 @@ def errors_of(place: str) -> Iterator[None]:
 
 
 class ConvergenceError(CasadicalError, RuntimeError):
-    """The solver stopped without an optimum; nothing was written.
+    """A solver stopped without an optimum, or a simulator without an equilibrium.
 
     Examples
     --------
@@ -177,6 +177,6 @@ def visible(text: str) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a name or path for a message: control characters escaped, at most 300 characters."""
+    """Return a name or path for a message: unprintable characters escaped, cut to 300 characters."""
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(value))
     return text if len(text) <= 300 else f"{text[:297]}..."

@@ -11,11 +11,10 @@ import platformdirs
 def private_folder(name: str = "") -> Path | None:
     """Return casadical's cache folder, or a folder in it, which is made if it is missing.
 
-    It is the folder `casadical` in that of the variable CASADICAL_CACHE, else in the user's cache
-    folder; it is made with mode 0700. The folder of the variable itself is unchanged.
-
-    If others could write to it, their permission and the cached files are removed. None is returned
-    where it cannot be made, is a link, or belongs to another user.
+    It is the folder `casadical` in that of the variable CASADICAL_CACHE, whose mode is unchanged,
+    else in the user's cache folder. Its mode is made 0700; if others could write to it, the cached
+    libraries and JSON files in it are removed. None is returned where it cannot be made, is a link,
+    or belongs to another user, and where the user has no home folder.
 
     name : folder in the cache folder; empty: the cache folder itself
     """
@@ -34,9 +33,10 @@ def private_folder(name: str = "") -> Path | None:
 
 
 def _own(folder: Path) -> bool:
-    """Return whether a folder belongs to the user; then set its mode to 0700.
+    """Return whether a path is a folder of the user and no link; then set its mode to 0700.
 
-    If others could write to it, the cached libraries and JSON files in it are removed.
+    If others could write to it, the cached libraries and JSON files in it are removed. On Windows,
+    which has no such owners, every folder counts as the user's and is unchanged.
     """
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode):

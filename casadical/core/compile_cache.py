@@ -131,7 +131,7 @@ class MachineCode:
         """Return the outputs at n points side by side, shape (rows, columns n) each.
 
         points : first input of each point, shape (a, n); shared : the other inputs
-        Raises ValueError for other shapes.
+        Raises ValueError for another number of values.
         """
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
@@ -148,7 +148,7 @@ def _pointers(arrays: Sequence[Array]) -> Any:
 
 
 def compiler() -> str | None:
-    """Return the path of the C compiler: $CC, gcc, clang or cc; None where there is none."""
+    """Return the path of the first C compiler found of $CC, gcc, clang and cc; None: none is."""
     names = filter(None, (os.environ.get("CC"), "gcc", "clang", "cc"))
     return next(filter(None, map(shutil.which, names)), None)
 
@@ -156,11 +156,11 @@ def compiler() -> str | None:
 def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
     """Return a compiled SX function, from the cache or newly built; None where it has none.
 
-    There is none without a C compiler or a private cache folder, for unsupported operations, and
-    where a built library fails its test. The library's name contains a hash of all that its C source
-    follows from (the function as CasADi serialises it, which takes a sixth of the time that the
-    source takes, and the modules that write the source), of compiler and flags, so that it is
-    compiled once per machine and never stale, and that of its content.
+    There is none without a C compiler or a private cache folder, for unsupported operations, where
+    a library fails to compile or to pass its test, and without `make` if none is cached. Its name
+    has a hash of all that its C source follows from (the function as CasADi serialises it, which
+    takes a sixth of the time of the source, and the modules that write the source), of the
+    compiler's path and flags, so that it is never stale, and a hash of its content.
 
     function : dense function whose first input differs between points
     make : whether a library that is not cached is built
@@ -213,7 +213,7 @@ def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Fun
 def _computes_correctly(function: ca.Function, library: Path) -> bool:
     """Return whether a library, run in a separate process, has the outputs of a CasADi function.
 
-    They are compared at `TRIAL_POINTS` points with a relative tolerance of 1e-9.
+    They are compared at `TRIAL_POINTS` points with a relative tolerance of 1e-9 and an absolute one of 1e-12.
     """
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])

@@ -43,7 +43,7 @@ _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
 # Integral gain: unit suffixes of its keys, and its largest value [SI].
 _INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
-# Torque or force: unit suffixes of its keys, and its largest value [SI].
+# Torque or force: unit suffixes of its keys, and its largest absolute value [SI].
 _TORQUE = Quantity({"_Nm": 1.0, "_N": 1.0}, 1e9)
 # Motor current: unit suffixes of its keys, and its largest value [A].
 _CURRENT = Quantity({"_A": 1.0, "_mA": 1e-3}, 1e6)
@@ -53,7 +53,7 @@ _SPEED = Quantity({"_rad_s": 1.0, "_deg_s": np.pi / 180, "_m_s": 1.0, "_mm_s": 1
 _CONSTANT = Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)
 # Rotor inertia: unit suffixes of its keys, and its largest value [SI].
 _INERTIA = Quantity({"_kgm2": 1.0, "_kg": 1.0}, 1e6)
-# Resolution of a joint reading: unit suffixes of its keys, and its largest value [SI].
+# Resolution of a joint reading, or a stop: unit suffixes of its keys, largest absolute value [SI].
 _ANGLE = Quantity({"_rad": 1.0, "_deg": np.pi / 180, "_m": 1.0, "_mm": 1e-3}, 10.0)
 # Time: unit suffixes of its keys, and its largest value [s].
 _TIME = Quantity({"_s": 1.0, "_ms": 1e-3}, 10.0)
@@ -160,7 +160,7 @@ class Drive(TomlTable):
                 raise FaultError(("drive", name), f"has {len(value)} numbers; {wanted}")
 
     def table(self) -> dict[str, object]:
-        """Return the declared values by TOML key; a key ends in the first unit of its quantity."""
+        """Return the declared values [SI] by TOML key, which ends in the first, SI unit."""
         return {key: value for (_, value), key in zip(self, self.keys(), strict=True) if value not in (None, "")}
 
 

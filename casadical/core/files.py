@@ -48,13 +48,13 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def write_together(contents: Mapping[Path, str | bytes]) -> None:
-    """Write several files, text as UTF-8: all of them or, if one cannot be written, none.
+    """Write several files, text as UTF-8; if one cannot be written to disk, none appears.
 
-    A symbolic link is followed; devices and pipes are written into.
+    A symbolic link is followed; devices and pipes are written into before the files appear. If one
+    of several renames fails, the error names the files that have appeared.
 
     contents : text or bytes of each file by its path
-    Raises InputError: two outputs of one name, a folder in place of a file, no space, no
-    permission.
+    Raises InputError: two outputs of one name, a folder as a file, no space, no permission.
     """
     written: list[str] = []
     path = Path()
@@ -106,7 +106,7 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
 
 @contextmanager
 def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
-    """Lock folders of outputs against other processes; make those that are not there.
+    """Lock folders of outputs against other processes in the block; make those that are missing.
 
     A folder that was made for this and is empty at the end is removed. Raises InputError: another
     process writes to one of them, or it cannot be made.
@@ -146,7 +146,7 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
 def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
     """Yield a function that appends a text to a file and returns when it is on disk.
 
-    start : number of bytes to which the file is cut first
+    start : number of bytes to which the file, made if it is missing, is cut first
 
     Raises InputError: another process appends to it, or it cannot be written.
     """
@@ -163,7 +163,7 @@ def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
             raise _failure(path, error) from error
 
         def add(line: str) -> None:
-            """Add a line and write it to disk. Raises InputError: it cannot be written."""
+            """Append a text and write it to disk. Raises InputError: it cannot be written."""
             try:
                 file.write(line.encode())
                 os.fsync(handle)
@@ -208,7 +208,7 @@ def own_stream(path: Path) -> int | None:
 
 
 def _into(path: Path, blob: bytes) -> None:
-    """Write bytes into a device or a pipe; a pipe that nobody reads from is an error."""
+    """Write bytes into a device or a pipe; a pipe that nobody reads is an OSError."""
     number = own_stream(path)  # opened again, a file would be written from its beginning
     sys.stdout.flush()
     flags = os.O_WRONLY | getattr(os, "O_NONBLOCK", 0)

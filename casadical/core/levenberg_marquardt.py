@@ -7,8 +7,8 @@ import numpy as np
 from casadical.core.basics import Array
 
 # Costs of k problems at their points, shape (k,), and a function that takes a mask of problems,
-# shape (k,), and returns the normal matrices, shape (j, p, p), and right sides, shape (j, p), of
-# the j chosen ones.
+# shape (k,), and returns the normal matrices, shape (j, p, p), and right sides of the equations of
+# the step, shape (j, p), of the j chosen ones.
 Evaluated = tuple[Array, Callable[[Array], tuple[Array, Array]]]
 
 
@@ -21,17 +21,17 @@ def levenberg_marquardt(
     floor: float = 0.0,
     least_gain: float = -1.0,
 ) -> tuple[Array, Array]:
-    """Return the point of least cost of each of k problems, shape (k, m), and that cost, (k,).
+    """Return the evaluated point of least cost of each of k problems, (k, m), and its cost, (k,).
 
-    The diagonal of a problem's normal matrix is increased by the factor of the damping, which falls
-    to a fifth after a step that lowers the cost and rises tenfold after one that does not.
+    The damping times (diagonal + `floor`) is added to the diagonal of a problem's normal matrix. It
+    is 2e-4 in the first step, falls to a fifth, at least 1e-9, after a step that lowers the cost,
+    and rises tenfold after one that does not.
 
     evaluate : function of points, shape (k, m), one for each problem; see `Evaluated`
     start : first points, shape (k, m)
     steps : largest number of evaluations
     move : function of points, (k, m), and steps, (k, p), that returns new points, (k, m)
-    floor : number that is added to the diagonal before it is damped, for directions that no data
-        determine
+    floor : see above; it damps directions that no data determine
     least_gain : a problem has converged when a step lowers the cost by less than this times
         (cost + 1), or its damping exceeds 1e6; the method ends when all have. Below zero: never
     """

@@ -34,7 +34,7 @@ MIN_CHUNK_POINTS = 64
 class Buffered:
     """A CasADi function of dense inputs and outputs that is called many times with arrays.
 
-    Its memory is reused in the next call.
+    CasADi's work memory is reused in the next call; the returned arrays are new.
     """
 
     def __init__(self, f: ca.Function) -> None:
@@ -44,11 +44,11 @@ class Buffered:
         self._function, self._idle = f, list[Any]()
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Return the outputs for one argument per input, each of its own shape.
+        """Return the outputs, each of two axes in its own shape, for one argument per input.
 
         An argument with fewer columns than the input is repeated side by side, as by CasADi.
 
-        Raises ValueError for shapes that do not fit.
+        Raises ValueError for another number of arguments, or of values of one.
         """
         try:  # a buffer serves one call at a time: another thread takes another one
             buffer, trigger = self._idle.pop()
@@ -88,8 +88,8 @@ class MappedFunction:
     """A function of one point that is evaluated at many points in chunks.
 
     The graph does not grow with the number of points. Expressions of the shared inputs only, a
-    third of a robot's model, are computed once, and common subexpressions are eliminated. The other
-    operations are unchanged, and so is every bit of the results.
+    third of a robot's model, are computed once a call, common subexpressions once a point. The
+    other operations are unchanged, and so is every bit of CasADi's results.
 
     name : name of the CasADi function
     point : symbols whose values differ between the points, shape (a,)

@@ -42,7 +42,7 @@ class Parameter:
 
     @property
     def readable_unit(self) -> str:
-        """Return the unit of reports: mm, deg, urad/(N m), or the SI unit."""
+        """Return the unit of reports: mm, deg or urad/(N m), or `unit`, always if `as_declared`."""
         return self.unit if self.as_declared else _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
@@ -99,8 +99,9 @@ class Parameters(Sequence[Parameter]):
     def select(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the selected parameters, in model order.
 
-        wanted : groups, unions of groups (kinematic, placement), names, or patterns with *
-        Raises InputError: a word that selects nothing.
+        wanted : groups, unions of groups (kinematic, placement), names, or patterns with *; one text
+            is one of them
+        Raises InputError: a word that selects nothing, other than a union or compliance.
         """
         chosen: set[str] = set()
         # Words that select several groups of parameters, with these groups.

@@ -2,7 +2,7 @@
 
 It contains neither a kinematic model nor parameters. It also estimates unknown link masses from the
 reach: between light arms (UR10e, Panda: 4 to 7 kg per cubic metre of reach) and heavy ones (KR 210,
-HH800: 16 to 19 kg) the moving links weigh 10 kg times the cube of all link lengths; each link
+HH800: 16 to 19 kg) the moving links weigh 10 kg times the cube of `Arm.reach` [m]; each link
 weighs half of the one before, with its mass centre in its middle; the prior standard deviation is
 twice the mass. Gravity deflects joints by compliance times torque, so that a common scale of all
 masses is equivalent to the joints' stiffness: such masses do not determine the stiffness, but the
@@ -85,7 +85,7 @@ class Body:
 def possible_inertia(moments: Array) -> bool:
     """Return whether an inertia matrix, shape (3, 3), is physically possible.
 
-    No principal moment is negative, and none is greater than the sum of the other two.
+    Up to a share of 1e-6, none of its principal moments is negative or above the others' sum.
     """
     smallest, middle, largest = np.linalg.eigvalsh(moments)
     return bool(np.isfinite(largest) and smallest >= -1e-6 * largest and largest <= (1 + 1e-6) * (smallest + middle))
@@ -110,12 +110,12 @@ class Joint:
 
     alpha : angle from the axis before to this one, about the x axis of the link before [rad]
     a : length of the link before, along its x axis [m]
-    theta : angle about the joint's z axis at reading zero [rad]
+    theta : angle about the joint's z axis where the row's variable is zero [rad]
     d : offset along the joint's z axis [m]
     beta : rotation about y where the axes are nearly parallel [rad]; None: d is the parameter there
     b : offset along y where the axes are nearly parallel [m]; None: as of beta
-    kind : revolute, or prismatic (then the reading is added to d)
-    lower, upper : lower and upper limit of the reading [rad or m]
+    kind : revolute (the variable is added to theta), or prismatic (it is added to d)
+    lower, upper : lower and upper limit of the row's variable [rad or m]
     compliance : compliance of the drive train [rad/(N m) or m/N]; None: rigid
     body : mass properties of the link that the joint moves, in its frame; None: massless
     coupling : how its reading follows from others, for a mimic, passive or locked joint; None
@@ -151,9 +151,9 @@ class Joint:
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:
-    """Check the values of a joint. Raises InputError.
+    """Check kind, limits, compliance and mass of a joint, and that numbers are finite.
 
-    robot : name of the robot, for the message; i : number of the joint, from 1
+    robot : name of the robot, for the message; i : number of the joint, from 1. Raises InputError.
     """
     if joint.kind not in ("revolute", "prismatic"):
         raise InputError(f"robot {robot!r}, joint {i}: kind {joint.kind!r}; allowed: revolute, prismatic")
@@ -175,9 +175,9 @@ def refuse_joint(robot: str, i: int, joint: Joint) -> None:
 class FourBar:
     """A closed four-bar loop, by which one joint drives the next.
 
-    The reading of joint `driven` is the crank's angle in the plane of joint `carrier`. The ground
-    bar is the link between the two joints (its length is the driven row's a). The driven link's
-    angle against the carrier is: direction of the rocker - angle of the carrier + offset.
+    The variable of joint `driven` plus its row's theta is the crank's angle in the plane of joint
+    `carrier`. The ground bar is the link between the joints (its length is the driven row's a). The
+    driven link's angle against it is: direction of the rocker - that of the ground bar + offset.
 
     driven, carrier : numbers of the two neighbouring joints, from 1
     crank, coupler, rocker : length of the bar [m]
@@ -265,7 +265,7 @@ WIDTHS: Mapping[str, Width] = {
 
 @dataclass(frozen=True)
 class BodyWidth:
-    """Prior standard deviations of the declared masses and mass centres of links.
+    """Prior standard deviations of the masses and mass centres of links, declared or estimated.
 
     share : relative standard deviation of a mass
     centre : standard deviation of each coordinate of a mass centre [m]
@@ -397,7 +397,7 @@ class Arm:
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Return lower and upper joint limits, each shape (n,) [rad or m]."""
+        """Return lower and upper limits of the rows' variables, each shape (n,) [rad or m]."""
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
         return lower, upper
 
@@ -440,7 +440,7 @@ class Arm:
 
     @property
     def reading_limits(self) -> tuple[Array, Array]:
-        """Return the least and greatest reading of each joint within the limits, each (n,)."""
+        """Return least and greatest controller readings within `limits`, each (n,) [rad or m]."""
         lower, upper = self.limits
         if not self.counts_otherwise:
             return lower, upper
@@ -450,7 +450,7 @@ class Arm:
 
     @property
     def readings_in_words(self) -> str:
-        """Return how the rows' variables q follow from the controller's readings J; "" if alike."""
+        """Return how the rows' variables q follow from the controller's readings J; "" if equal."""
         made = []
         for i, (joint, row) in enumerate(zip(self.joints, self.reading_map[0], strict=True), 1):
             if joint.readings is not None:
@@ -467,7 +467,7 @@ class Arm:
 
     @cached_property
     def reach(self) -> float:
-        """Return the sum of link lengths, strokes and the tool [m], an upper bound of the reach."""
+        """Return the summed |a|, |d|, strokes and tool length [m]; without b they bound the reach."""
         links = sum(
             abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
         )
@@ -501,7 +501,7 @@ A = TypeVar("A", bound=Arm)
 
 
 def lacks_masses(arm: Arm) -> bool:
-    """Return whether no link has a declared mass above zero."""
+    """Return whether no link has a mass above zero, declared or estimated."""
     return not any(j.body and j.body.mass > 0 for j in arm.joints)
 
 

@@ -31,7 +31,7 @@ MAX_TABLE_BYTES = 500_000_000
 MAX_TEXT_BYTES = 10_000_000
 # Largest size of a JSON file [bytes]; larger ones are refused.
 MAX_JSON_BYTES = 100_000_000
-# Largest size of an archive after unpacking [bytes]; larger ones are refused.
+# Largest size of a zip archive, a workbook, after unpacking [bytes]; larger ones are refused.
 MAX_UNPACKED_BYTES = 100_000_000
 # Largest number of cells of a spreadsheet workbook; larger ones are refused.
 MAX_WORKBOOK_CELLS = 300_000
@@ -131,7 +131,7 @@ def unpacked(data: bytes, source: str) -> bytes:
 def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
     """Check that a path is not a device, a folder, a pipe or a socket.
 
-    about : status of the file; streamed : whether the path denotes a stream of this process
+    about : status of the file; streamed : whether it is a stream of this process, maybe a pipe
     Raises InputError.
     """
     if stat.S_ISCHR(about.st_mode) or stat.S_ISBLK(about.st_mode):
@@ -179,7 +179,8 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
 
     source : name of the text in messages
     kind : type that the value must have, by default an object (dict); object: any
-    Raises InputError: no JSON, another type, numbers that are not finite, or too deeply nested.
+    Raises InputError: no JSON, another type, too deeply nested, or numbers that are not finite or
+    have more than 100 digits.
     """
     try:
         data = json.loads(text, parse_int=_integer, parse_float=_finite, parse_constant=_finite)
@@ -244,7 +245,7 @@ def read_xml(path: str | Path) -> bytes:
 
 @contextmanager
 def foreign(what: str, remedy: str = "") -> Iterator[None]:
-    """Convert whatever a library raises for a damaged file in the block.
+    """Convert whatever a library raises for a damaged file in the block to an InputError.
 
     what : begin of the message; remedy : end of the message
     Raises InputError.
@@ -260,10 +261,7 @@ def foreign(what: str, remedy: str = "") -> Iterator[None]:
 
 
 def _of_python(error: BaseException | None) -> bool:
-    """Return whether an error, or its cause, is about code (types, indices), not about the file.
-
-    Its message would not help the user.
-    """
+    """Return whether an error, or its cause, is about code (types, indices) and helps no user."""
     if error is None:
         return False
     explained = type(error) is ValueError or isinstance(error, OSError | EOFError)
@@ -284,7 +282,7 @@ def archive_of(data: bytes, source: str) -> io.BytesIO:
 
 
 def number_fault(value: float) -> str:
-    """Return as text what is wrong with a number of a file; empty for a usable one."""
+    """Return as text what is allowed in place of a number of a file; empty for a usable one."""
     if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # also an integer that is no double, and what is not a number
         return f"allowed: finite numbers up to {LARGEST_NUMBER:g}"
     return f"allowed: zero, or at least {SMALLEST_NUMBER:g}" if 0 < abs(value) < SMALLEST_NUMBER else ""
@@ -304,6 +302,7 @@ def text_fault(text: str) -> str:
 def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
     """Yield (place, fault) of each unusable number or text in nested tables and lists, as text.
 
+    Floats that are not finite are left to the schema.
     place : place of the value itself; depth : number of tables and lists around it
     """
     if depth > MAX_NESTING:

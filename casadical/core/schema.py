@@ -142,7 +142,7 @@ def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
     """Return data validated against a schema, as an instance of it.
 
     source : name of the data in messages, such as a path
-    Raises InputError that lists the faults by key.
+    Raises InputError that lists the faults by key, at most `MAX_FAULTS_SHOWN`.
     """
     if wrong := list(unusable(data)):
         raise _faults([f"{place}: {fault}" for place, fault in wrong[:MAX_FAULTS_SHOWN]], len(wrong), source)

@@ -22,6 +22,7 @@ def first_of_best(values: Sequence[float] | Array, *, logs: bool = False) -> int
     """Return the index of the greatest value, the first of those tied with it.
 
     logs : whether the values are log probabilities (see `TIE_TOLERANCE`)
+    Raises ValueError for no values.
     """
     given = np.asarray(values, dtype=float)
     best = float(given.max())
@@ -58,8 +59,8 @@ def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
 def thirds(values: Array) -> tuple[Array, Array]:
     """Return the third of each value, 0 to 2, shape (n,), and the four quantiles that bound them.
 
-    The thirds have equal numbers of values. A value at a bound, within rounding, belongs to the
-    third below.
+    The thirds have equal numbers of values, but for ties. A value at a bound, within 1e-6 of the
+    range, belongs to the third below.
 
     values : shape (n,)
     """

@@ -12,7 +12,7 @@ from contextlib import suppress
 
 # Time limit of a compilation [s].
 COMPILE_SECONDS = 300.0
-# Time limit of a compiled library or of Python code that runs in a separate process [s].
+# Time limit of short work in a separate process: Python code, or a compiler's version [s].
 TRIAL_SECONDS = 60.0
 
 

@@ -111,7 +111,7 @@ def from_xyz(xyz: Array) -> Array:
 def to_xyz(R: Array) -> Array:
     """Return the intrinsic angles about x, y, z, shape (3,) [rad], of a rotation, shape (3, 3).
 
-    They are those of `small_frame`.
+    They are those of `small_frame`; at +-90 deg about y, that about z is zero.
     """
     return -to_rpy(R.T)
 
@@ -124,7 +124,7 @@ def quaternion(R: Array) -> Array:
 
 
 def from_quaternion(q: Array) -> Array:
-    """Return rotations, shape (..., 3, 3), of quaternions of any length but zero, scalar first."""
+    """Return rotations, (..., 3, 3), of quaternions, (..., 4), of any norm but 0, scalar first."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_quat(np.roll(q, -1, axis=-1)).as_matrix())

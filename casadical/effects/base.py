@@ -1,7 +1,7 @@
 """The base class of all effects, their insertion points in the model, and their inputs.
 
 The insertion points (seams) in the order in which a pose is computed: `energy` (a spring or a mass,
-which loads the joints), `joint_angle` (added to the reading), `link` (behind the joint's own
+which loads the joints), `joint_angle` (added to the variable), `link` (behind the joint's own
 motion), `base`, `tool`, `measurement`. An effect overrides those it needs; the defaults leave the
 model unchanged. A file of an effect imports what it needs from here.
 
@@ -34,7 +34,7 @@ class Context:
     arm : structure of the robot: DH rows, masses, limits, loops, payload
     torque_scale : shape (n,) [N m or N]: peak gravity torque of each joint (see
         `Robot.torque_scale`)
-    q : shape (n,) [rad or m]: joint readings
+    q : shape (n,) [rad or m]: joint variables of the robot's rows, from the readings
     conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
     values : the value of every parameter of the model, by name [SI]
     frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
@@ -92,8 +92,8 @@ class Context:
     def turned(self, joint: int) -> Symbolic:
         """Return the angle of link `joint` (1-based) relative to the one before it [rad].
 
-        It is the joint's reading unless a four-bar drives the joint; then it is taken from the
-        frames.
+        It is the joint's variable, without theta, unless a four-bar drives the joint; then it is
+        the row's whole angle between the frames.
         """
         if all(loop.driven != joint for loop in self.arm.loops):
             return self.q[joint - 1]
@@ -172,7 +172,7 @@ class Balancer:
     joint : number of the joint, 1-based
     anchor : distance of the spring's fixed end from the joint, divided by the distance of its end
         on the arm from the joint
-    phase : reading at which the spring's ends and the joint lie in line [rad]
+    phase : variable plus theta of the joint where the spring is longest, in line with it [rad]
     swing : amplitude of the sinusoidal part of its torque over the joint angle [N m]
     ahead : phase lead of that part [rad]
     pull : coefficient of the part of its torque by constant tension (`preload` of
@@ -209,7 +209,7 @@ class Counterparts:
 
     drives : drive train of each joint
     torque_scale : peak gravity torque of each joint, shape (n,) [N m or N]
-    mean_load : mean gravity torque of each joint, divided by its peak one, shape (n,)
+    mean_load : mean magnitude of each joint's gravity torque, divided by its peak one, shape (n,)
     revolute : numbers of the revolute joints, 1-based
     base : stiffness of the pedestal about the base frame's x and y [N m/rad], infinite where it is
         rigid
@@ -268,8 +268,8 @@ class Counterparts:
     def with_springs(self, label: str, sizes: Mapping[str, float], link: int, *, spread: bool = False) -> Counterparts:
         """Return the counterparts with elastic hinges of the pedestal (link 0) or of a link.
 
-        An axis of negative compliance stays rigid and is added to `left_out`, as is the whole
-        effect if the robot has no masses.
+        An axis of zero or negative compliance stays rigid; a negative one is added to `left_out`,
+        as is the whole effect if the robot has no masses.
         label : label of the effect; link : number of the link, 1-based, 0 for the pedestal
         sizes : rotation [rad] by name of the parameter, about each axis, of the pedestal under the
             maximum peak gravity torque, of a link under that of the joints at its two ends
@@ -366,7 +366,7 @@ class Effect:
     # Name of the effect of which it is a variant and under whose name it is reported; empty: none.
     answers_as: ClassVar[str] = ""
     # Places of candidates: arm, payload, joints, turning joints (revolute) or rigid joints (without
-    # compliance); empty: joints if `angle` is overridden, else arm.
+    # compliance, or of 0); empty: joints if `angle` is overridden, else arm.
     acts_at: ClassVar[str] = ""
     together: ClassVar[bool] = False  # whether the effect in all joints at once is a candidate, too
     # Names of effects that it includes: given it, they are no separate causes.
@@ -518,7 +518,7 @@ class Effect:
     def with_sizes(self, factors: Mapping[int, float]) -> Self:
         """Return the effect with the prior size of each part multiplied by a factor.
 
-        factors : dimensionless, by key of `parts`
+        factors : dimensionless, by key of `parts`. The base raises NotImplementedError for any.
         """
         if factors:
             raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
@@ -553,7 +553,7 @@ class Effect:
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         """Return what the effect adds to the variable of its own joint, by default 0 [rad or m].
 
-        q : reading of that joint [rad or m]
+        q : variable of that joint [rad or m]
         """
         return 0.0
 

@@ -50,8 +50,8 @@ def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) 
 def pedestal_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with elastic hinges of the pedestal.
 
-    v : `rx` and `ry`, tilts about the base frame's x and y under the maximum over the joints of
-        the peak gravity torque [rad]
+    v : `rx` and `ry`, tilts about the base frame's x and y under the maximum peak gravity torque
+        of the revolute joints [rad]
     """
     return simulator.with_springs(effect.label, v, 0)
 
@@ -59,7 +59,7 @@ def pedestal_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, flo
 def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with additional compliance of the effect's joint.
 
-    v : `deflection` that it causes under the joint's peak gravity torque [rad]
+    v : `deflection` under the joint's peak gravity torque [rad]; an omission unless above zero
     """
     if v["deflection"] <= 0:
         return simulator.without_sign(effect.label)
@@ -70,7 +70,8 @@ def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with constant dry friction in the effect's joint [N m].
 
-    It is the windup at the joint's mean load, divided by the joint's compliance.
+    It is the windup at the joint's mean load, divided by the joint's compliance; it is an omission
+    unless both are above zero.
     v : `constant`, windup without load [rad], and `load`, its increase at the peak torque [rad]
     """
     soft = simulator.drive(effect.joint).compliance
@@ -88,7 +89,7 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
     """Return a simulator's counterparts with a spring between stops in series in the joint's drive.
 
     It approximates the deflection bend tanh(torque / (knee peak torque)).
-    v : `bend`, at which the deflection saturates [rad]
+    v : `bend`, at which the deflection saturates [rad]; an omission unless above zero
     The effect's setting `knee` is the torque scale of saturation, divided by the joint's peak
     gravity torque.
     """
@@ -106,7 +107,7 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
     Its torque is fitted by least squares to the deflection d = c tau - bend (tau / peak)^3 [rad]
     for torques tau up to 1.2 times the joint's peak gravity torque; c is the joint's compliance.
-    v : `bend` [rad]
+    v : `bend` [rad]; an omission where d would decrease with tau
     """
     peak, load = simulator.peak_torque(effect.joint), np.linspace(-1.2, 1.2, 97)
     d = simulator.drive(effect.joint).compliance * peak * load - v["bend"] * load**3
@@ -120,7 +121,7 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
 
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with the identified payload.
+    """Return a simulator's counterparts with the identified payload; an omission if none is declared.
 
     v : `mass`, error of the mass divided by the declared mass; `x`, `y`, `z`, error of the first
         moment in the last link's frame, divided by the declared mass [m]
@@ -207,7 +208,7 @@ class Setting(TomlTable):
 
     @property
     def points(self) -> int:
-        """Return the number of values of the setting's grid: 2 for "near", at least 1."""
+        """Return the number of values of the setting's grid, at least 1; for "near" 2 is assumed."""
         return (
             self.grid.count
             if isinstance(self.grid, Grid)
@@ -310,7 +311,7 @@ class DefinedEffect(FormulaEffect):
         return self._texts.sizes
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that the effect has a joint if it needs one, and that the arm has it.
+        """Check that the effect has a joint if it needs one, and that the arm has all it uses.
 
         Raises InputError.
         """
@@ -409,7 +410,8 @@ def _unpickled(definition: str, module: str, name: str, settings: Mapping[str, A
 def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
     """Return the class of a validated definition, the same object for equal definitions.
 
-    module : name of the module of the class. Raises InputError that names the faulty key.
+    module : name of the module of the class. Formulas are checked with default settings at joint 1.
+    Raises InputError that names the faulty key.
     """
     _refuse_names(d, () if module.startswith("casadical.") else ARGUMENT_COUNTS)
     kind = _class_of(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))

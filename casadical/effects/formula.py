@@ -2,8 +2,8 @@
 
 Text is never executed: Python's own parser splits it into a syntax tree without running it. Every
 node of the tree must be of an allowed type; numbers, length and depth are limited, and so is, by
-interval arithmetic, every intermediate value. A formula is a number, or three in brackets,
-`[a, b, 0] * max(0, t - 0.5)`.
+interval arithmetic (`bounds`), every intermediate value. A formula has one component, or three in
+brackets, `[a, b, 0] * max(0, t - 0.5)`.
 """
 
 import ast
@@ -144,7 +144,7 @@ def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interva
     """Return (lower, upper) bounds of the value of a called function.
 
     text : text of the whole formula; parts : bounds of each argument
-    Raises InputError for the root of negative numbers.
+    Raises InputError for the root of an argument that is always negative.
     """
     assert isinstance(node.func, ast.Name)
     name, (low, high) = node.func.id, parts[0]
@@ -197,7 +197,7 @@ def _error_at(text: str, node: ast.expr | int, why: str) -> InputError:
 def _tree(text: str) -> ast.expr:
     """Return the syntax tree of a formula's text; its nodes are not checked yet.
 
-    Raises InputError for an empty text, one of more than 400 characters, and a syntax error.
+    Raises InputError: empty, more than 400 characters, one not allowed, or a syntax error.
     """
     if not text.strip():
         raise InputError("formula: it is empty; a formula such as 'a * max(0, abs(tau3) - 0.3)' is needed")

@@ -103,7 +103,7 @@ MOTION_NAME_OF_JOINT = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
 COLUMN_BY_NAME = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
 # Pattern of names in formulas whose values are columns, logged or derived.
 COLUMN_NAME = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
-# Pattern of names in formulas whose values are computed from a pose: readings, loads, moments,
+# Pattern of names in formulas whose values are computed from a pose: variables, loads, moments,
 # gravity and flange position (see `ALLOWED_NAMES`).
 _POSE_NAME = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 # Pattern of names without number in a formula at "joints"; they stand for each joint's own signal.
@@ -274,7 +274,7 @@ class FormulaEffect(Effect):
 
     @property
     def of_head(self) -> tuple[str, ...]:
-        """Return the column of the head's last rotation, in a tuple; () if no formula uses it."""
+        """Return the column of the head's last rotation, in a tuple; () if not used or in `needs`."""
         named = any(HEAD_NAME in f.names for seam, f in self.formulas.items() if seam in STATION_SEAMS)
         return (head_column(self.station),) if named and HEAD_NAME not in self.needs else ()  # type: ignore[attr-defined]
 
@@ -297,7 +297,8 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
 def check_values(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
     """Check that a formula is zero where its parameters are, and finite and bounded elsewhere.
 
-    Values are checked at 200 random points, bounds by intervals (see `bounds` and `_range_of`).
+    Values are checked at 200 random points, where NaN counts as zero only in the first check;
+    bounds are by intervals (see `bounds` and `_range_of`).
     parameters : names of the parameters; settings : values of the settings, by name
     Raises InputError.
     """
@@ -382,7 +383,7 @@ def image_columns(side: str, what: str) -> tuple[str, str, str]:
     the tool frame (see `diagnosis.instrument_columns`).
     side : one of CAMERA_SIDES
     what : "depth", the component along the optical axis, or "radial", the component across it
-        multiplied by the square of its slope
+        multiplied by the square of its slope, of 2 at most
     """
     x, y, z = (f"{side}_{what}_{c}_m" for c in "xyz")
     return x, y, z

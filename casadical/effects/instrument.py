@@ -13,9 +13,9 @@ from casadical.effects.base import Context, Effect, setting
 
 @dataclass(frozen=True)
 class FrameDrift(Effect):
-    """Drift of the measuring frame relative to the robot's base with time.
+    """Drift of the measuring frame relative to the robot's base with the column `progress`.
 
-    shape : exponent of time; 1 for a constant rate, below 1 for a falling, above 1 for a rising one
+    shape : exponent of progress; 1: constant rate, below 1: a falling, above 1: a rising one
     """
 
     shape: float = setting(1.0, (0.5, 1.0, 2.0), steps=True)
@@ -48,7 +48,7 @@ class FrameDrift(Effect):
 class FrameSettling(FrameDrift):
     """Exponential settling of the measuring frame relative to the robot after a campaign's start.
 
-    settles : time constant, divided by the duration of the campaign
+    settles : constant of decay in units of `progress`, which is 0 at the first pose, 1 at the last
     """
 
     settles: float = 0.1
@@ -63,16 +63,16 @@ class FrameSettling(FrameDrift):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return `FrameSettling` for each of four time constants."""
+        """Return `FrameSettling` for each of four constants of decay."""
         return (cls(None, settles=s) for s in (0.02, 0.05, 0.12, 0.3))
 
     def course(self, context: Context) -> Symbolic:
-        """Return the motion at a pose, divided by the whole motion after infinite time, 0 to 1."""
+        """Return the motion at a pose, divided by the whole motion at infinite progress, 0 to 1."""
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
 
-# Times of candidate steps of a frame, 0 at the campaign's start, 1 at its end. They are few, since
-# a step of six parameters also fits data with a step at times between two of them.
+# Progress at candidate steps of a frame, 0 at the first pose, 1 at the last. They are few, since a
+# step of six parameters also fits data with a step between two of them.
 STEP_TIME_GRID = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
 
 
@@ -80,7 +80,7 @@ STEP_TIME_GRID = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
 class FrameStep(Effect):
     """A step of a link's frame, or of the measuring frame, in all six degrees of freedom.
 
-    at : time of the step, 0 at the campaign's start, 1 at its end
+    at : `progress` after which the frame has moved, 0 at the first pose, 1 at the last
     joint : link whose frame moves, 1-based; None: the measuring frame, relative to the robot's base
     """
 
@@ -96,7 +96,7 @@ class FrameStep(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return steps of the measuring frame and of all links but the last, at twelve times."""
+        """Return steps of the measuring frame and of all links but the last, at twelve values `at`."""
         return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:

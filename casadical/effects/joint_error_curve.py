@@ -71,10 +71,10 @@ class JointErrorCurve(Effect):
         }
 
     def for_poses(self, count: int, distinct: Sequence[int] = ()) -> "JointErrorCurve":
-        """Return the effect with `EXTENDED_ORDERS` harmonics if there are 400 poses or more.
+        """Return the effect with `EXTENDED_ORDERS`, not `DEFAULT_ORDERS`, from 400 poses on.
 
-        A joint that returns to few angles has no curve there: k distinct angles determine
-        (k - 1) / 2 harmonics, and the values of higher ones between them are arbitrary.
+        A joint with k distinct angles, fewer than half of the poses, has no curve if they do not
+        determine all orders, at most (k - 1) / 2: values between the angles would be arbitrary.
         distinct : number of distinct readings of each joint
         """
         # The readings of so many poses determine more harmonics.

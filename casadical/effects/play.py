@@ -49,7 +49,7 @@ class Backlash(Effect):
         # Friction holds the link behind its last motion.
         """Return the shift of the joint towards the flank in contact [rad].
 
-        It lies between plus and minus the parameter `half`. q : reading of the joint, not used
+        It lies between plus and minus the parameter `half`. q : variable of the joint, not used
         """
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
@@ -95,7 +95,7 @@ class BacklashByLoad(Backlash):
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         """Return the shift of the joint towards the flank to which gravity pushes it [rad].
 
-        It lies between plus and minus the parameter `half`. q : reading of the joint, not used
+        It lies between plus and minus the parameter `half`. q : variable of the joint, not used
         """
         return self.value(context, "half") * ca.tanh(context.load(self.joint) / self.width)
 

@@ -33,14 +33,13 @@ def setting(
 
     default : value where none is given
     grid : values of the candidates of a diagnosis, which refines a setting of type float by factors
-        between them; "near": up to two joints before and two behind the effect's own one
-    steps : whether it is refined by fractions of the grid's spacing rather than by factors
-    signed : whether it may be below zero
+        from the best one; "near": up to two joints before and two behind the effect's own one
+    steps : whether it is refined by fractions of the grid's first spacing rather than by factors
+    signed : whether a refined value may be below zero
     given : whether only a user can know it (a gear ratio), so that it is not refined
     joint : whether it is the number of a joint, 1-based
-    whole : whether integers are more probable than other values
-    tried : additional values that are evaluated once the cause is found; for a `whole` setting
-        the nearest integers are, too
+    whole : whether integers are more probable than other values; at most one setting of an effect
+    tried : values that are evaluated once the cause is found, with integers of the `whole` setting
 
     Examples
     --------
@@ -57,9 +56,9 @@ def setting(
 
 
 def grid_points(kind: type, near: Sequence[int] = ()) -> Iterator[dict[str, Any]]:
-    """Return a dict of settings by name for every combination of their grid values.
+    """Return an iterator of dicts of settings by name, one for every combination of grid values.
 
-    kind : class of an effect; settings without a grid are not in the dicts
+    kind : class of an effect; settings without a grid are not in the dicts; without grids: one {}
     near : numbers of joints that replace the grid `NEAR_JOINTS`
     """
     grids = {f.name: f.metadata["grid"] for f in fields(kind) if f.metadata.get("grid")}

@@ -1,5 +1,7 @@
 """Unlisted effects: smooth errors in joints, load and time, and of points in the measuring frame.
 
+Time is the column `progress`: place in the order of measuring, 0 at the first pose, 1 at the last.
+
 Each is a Gaussian process written as harmonics whose prior size falls with their order, so that it
 is an effect like any other and its marginal likelihood is comparable with those of named causes.
 """
@@ -37,7 +39,7 @@ class _Smooth(Effect):
     def _harmonics(self, context: Context, q: Symbolic) -> Symbolic:
         """Return the Fourier series of an angle q [rad] with the parameters s1, c1, s2, ... [rad].
 
-        The digit is the order of the harmonic, s a sine, c a cosine.
+        The number is the order of the harmonic, s a sine, c a cosine.
         """
         waves = {"s": ca.sin, "c": ca.cos}
         return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
@@ -91,10 +93,7 @@ class SmoothInJoint(_Series):
         return (cls(None, arm.n, i) for i in arm.numbers)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, 1 / order, value) of sine and cosine of the driver's angle, orders 1 to 4.
-
-        If `context` is None, the values are placeholders.
-        """
+        """Return (name, 1 / order, value) of sines and cosines of the angle, orders 1 to 4."""
         q = context.q[self.driver - 1] if context else 0.0
         return [(f"{name}{h}", 1 / h, f(h * q)) for h in (1, 2, 3, 4) for name, f in (("s", ca.sin), ("c", ca.cos))]
 
@@ -117,7 +116,7 @@ class AnyOfOwnAngle(_Smooth):
         return {f"{n}{h}": (TYPICAL_ANGLE_RAD, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad], a Fourier series of its reading q [rad]."""
+        """Return the error of the effect's joint [rad], a Fourier series of its variable q [rad]."""
         return self._harmonics(context, q)
 
 
@@ -140,13 +139,13 @@ class AnyOfOtherAngle(_Smooth):
         return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each harmonic's amplitude: sine s1, cosine c1, s2, ..."""
+        """Return typical size, falling with the order, and unit of each amplitude: s1, c1, ..."""
         return {f"{n}{h}": (2 * TYPICAL_ANGLE_RAD / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad], a Fourier series of the driver's reading.
+        """Return the error of the effect's joint [rad or m], a series in the driver's variable.
 
-        q : reading of the effect's joint, not used
+        q : variable of the effect's joint, not used
         """
         return self._harmonics(context, context.q[self.driver - 1])
 
@@ -167,7 +166,7 @@ class _OfOneJoint(_Smooth):
         return {name: (TYPICAL_ANGLE_RAD * share, "rad") for name, share, _ in self.terms(None)}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad]; q : its reading, not used."""
+        """Return the error of the effect's joint [rad or m]; q : its variable, not used."""
         return sum(self.value(context, name) * value for name, _, value in self.terms(context))
 
 
@@ -199,7 +198,7 @@ class AnyOfLoad(_OfOneJoint):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the name of the column of the joint's direction of approach."""
+        """Return the name of the column of the joint's direction of approach, in a tuple."""
         return (f"approach{self.joint}",)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
@@ -305,7 +304,7 @@ class BaseByMoment(_OfPlace):
     moves = ("z", "rx", "ry")
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, 1, value) of linear, one-sided and saturating functions of the moment."""
+        """Return (name, 1, value) of linear, even, mixed and saturating functions of the moment."""
         mx, my = ca.vertsplit(context.moment(1)[:2] / context.peak_moment) if context else (0.0, 0.0)
         one_sided = {"ax": ca.sqrt(mx**2 + 1e-4), "ay": ca.sqrt(my**2 + 1e-4), "xy": mx * my}
         values = {"x": mx, "y": my, **one_sided, "tx": ca.tanh(6 * mx), "ty": ca.tanh(6 * my)}
@@ -354,10 +353,7 @@ class SmoothInJoints(_Series):
         return (cls(None, arm.n, i, j) for i, j in combinations(arm.numbers, 2))
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, 1, value) of the four products of a sine or cosine of each angle.
-
-        If `context` is None, the values are placeholders.
-        """
+        """Return (name, 1, value) of the four products of a sine or cosine of each angle."""
         a, b = (context.q[self.first - 1], context.q[self.second - 1]) if context else (0.0, 0.0)
         parts = (("s", ca.sin), ("c", ca.cos))
         return [(f"{m}{n}", 1.0, f(a) * g(b)) for m, f in parts for n, g in parts]
@@ -372,11 +368,7 @@ class SmoothInTime(_Series):
     needs = ("progress",)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, 1 / order, value) of the cosines of order pi t, orders 1 to 6.
-
-        t is 0 at the campaign's start and 1 at its end. If `context` is None, the values are
-        placeholders.
-        """
+        """Return (name, 1 / order, cosine of order pi t), orders 1 to 6; t is the progress."""
         t = context.conditions["progress"] if context else 0.0
         return [(f"t{h}", 1 / h, ca.cos(ca.pi * h * t)) for h in (1, 2, 3, 4, 5, 6)]
 
@@ -419,7 +411,7 @@ class SmoothInTime(_Series):
 class WarmUp(_Smooth):
     """Exponential warm-up of an arm without measured temperature: zeros drift and links grow.
 
-    moved : number of joints; settles : time constant, divided by the duration of the campaign
+    moved : number of joints; settles : constant of decay in units of `progress`
     """
 
     moved: int = 6
@@ -432,7 +424,7 @@ class WarmUp(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return `WarmUp` for each of three time constants."""
+        """Return `WarmUp` for each of three constants of decay."""
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
@@ -443,7 +435,7 @@ class WarmUp(_Smooth):
         return {f"q{i}": (TYPICAL_ANGLE_RAD, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
 
     def _warmth(self, context: Context) -> Symbolic:
-        """Return the warm-up at a pose, divided by the whole one after infinite time, 0 to 1."""
+        """Return the warm-up at a pose, divided by the whole one at infinite progress, 0 to 1."""
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
     def joint_angle(self, context: Context) -> Symbolic:
@@ -472,19 +464,19 @@ class SmoothInSpace(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return one candidate, scaled by the reach of the arm."""
+        """Return one candidate, scaled by the reach of the arm, at least 0.1 m."""
         return (cls(None, max(arm.reach, 0.1)),)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each coefficient of the quadratic polynomials.
+        """Return typical size and unit of each coefficient of the polynomials, orders 1 and 2.
 
-        x_yz is the coefficient of y z in the displacement along x.
+        x_yz is the coefficient of y z / reach^2 in the displacement along x.
         """
         products = [a + b for k, a in enumerate("xyz") for b in "xyz"[k:]]
         return {f"{c}_{p}": (TYPICAL_LENGTH_M, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point displaced by a quadratic polynomial of its coordinates, shape (3,) [m].
+        """Return the point, (3,) [m], displaced by quadratic polynomials of its coordinates / reach.
 
         point : without the effect, shape (3,) [m]; both are in the measuring frame
         """
@@ -516,7 +508,7 @@ class SmoothInLoad(_Series):
 
         They are the components of gravity in the flange frame, in units of 9.81 m/s^2, tanh(2 load)
         and the direction of approach, -1 or 1, of every joint. A load is the gravity torque divided
-        by its peak. If `context` is None, the values are placeholders.
+        by its peak.
         """
         if context is None:
             down, loads, sides = [0.0] * 3, [0.0] * self.moved, [0.0] * self.moved

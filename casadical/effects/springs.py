@@ -19,12 +19,12 @@ class GravityCompensator(Effect):
 
     anchor : distance of the spring's fixed end from the joint, divided by the distance of its end
         on the arm from the joint
-    phase : reading of the joint at which both ends and the joint lie in line [rad]
+    phase : variable plus theta of the joint where the spring is longest, in line with it [rad]
     """
 
     # The closer to 1, the more sharply the torque changes where the spring is shortest.
     anchor: float = setting(2.0, (1.6, 3.0, 1.15, 1.02))
-    # The candidates' readings of the joint at which the spring lies in line, in steps of 30 degrees.
+    # The candidates' phases are in steps of 30 degrees.
     phase: float = setting(0.0, tuple(np.deg2rad(np.arange(0, 360, 30)).tolist()), steps=True, signed=True)
 
     name = "gravity_compensator"
@@ -32,7 +32,7 @@ class GravityCompensator(Effect):
     signature = "a smooth torque on the joint that gravity loads most, the shoulder (spring, gas balancer)"
     physics = "A spring across the shoulder pulls it by k a b sin(g) (1 - l0/l(g)) (Klimchik et al. 2013)."
     confused_with = "gear_eccentricity of the same joint, completely, unless payload or spring pressure change"
-    # Coefficients of the spring's torque, divided by the joint's peak gravity torque.
+    # Typical coefficients of the spring's torque, divided by the joint's peak gravity torque.
     size = {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     @classmethod
@@ -47,9 +47,9 @@ class GravityCompensator(Effect):
         return (effect for effect in super().candidates(arm) if effect.joint == shoulder)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the deflection of the joint by the torque of the spring [rad].
+        """Return the deflection of the joint by the spring's torque [rad]; 0 without compliance.
 
-        q : reading of the joint [rad]
+        q : variable of the joint [rad]
         """
         assert self.joint is not None
         turn = q + context.values[f"theta{self.joint}"] - self.phase
@@ -89,8 +89,8 @@ class HoseDrag(Effect):
     signature = "a pull at the wrist that grows as a hose or cable is extended"
     physics = "A dress pack is a weak, pretensioned spring from the forearm to the load."
     confused_with = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
-    # Parts of the energy at twice the usual length of the hose, divided by the peak gravity torque
-    # of the last joint but one.
+    # Typical parts of the energy at twice the usual length of the hose, divided by the peak gravity
+    # torque of the last joint but one.
     size = {"tension": (0.1, ""), "spring": (0.2, "")}
 
     @classmethod
@@ -137,7 +137,7 @@ class LinkMasses(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return one `LinkMasses` if the arm has elastic joints and uncertain masses, else none."""
+        """Return one `LinkMasses` if the arm has elastic joints and uncertain bodies, else none."""
         width = arm.body_width
         there = [bool(j.body and j.body.mass > 0) for j in arm.joints]
         share = tuple(width.share * yes for yes in there)
@@ -199,7 +199,7 @@ class LinkMasses(Effect):
 def _undeclared(arm: Arm, row: int) -> float:
     """Return half of a link's length [m] if its mass centre is at its frame's origin, else 0.
 
-    Such a mass centre was probably not declared. row : index of the link, from 0
+    Such a mass centre was probably not declared. 0 without a body. row : index of the link, from 0
     """
     body = arm.joints[row].body
     if body is None or np.any(body.com):
@@ -240,7 +240,7 @@ class BaseCompliance(Effect):
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """Return a simulator's counterparts with elastic hinges of the pedestal.
 
-        v : `rx` and `ry`, tilts under the maximum over the joints of the peak gravity torque [rad]
+        v : `rx` and `ry`, tilts under the maximum peak gravity torque of the revolute joints [rad]
         """
         return replace(simulator.with_springs(self.label, v, 0), base_below=self.below)
 

@@ -31,13 +31,14 @@ Directions = Sequence[tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class MemoryLimits:
-    """Limits on memory; results do not depend on them.
+    """Limits on memory; results depend on them by rounding only.
 
     column_bytes : largest size of the columns that are accumulated at a time [bytes]
     min_blocks : number of blocks that are accumulated at a time even if they take more bytes
     cache_bytes : largest size of the whitened columns of a fit that are cached [bytes]; larger ones
         are computed again when they are needed
-    part_bytes : size of the whitened columns of a fit that are computed at a time [bytes]
+    part_bytes : size of the whitened columns of a fit that are computed at a time [bytes], for
+        blocks of three rows; at least 64 blocks are
     max_observation_rows : largest number of rows at which residuals of excluded blocks are computed
         in the space of observations instead of parameters
     """
@@ -96,7 +97,7 @@ class Columns:
         return Columns((len(chosen), *self.shape[1:]), block, lambda s: self.levers(chosen[s]), self.directions)
 
     def only(self, columns: Array) -> Columns:
-        """Return the columns of these indices, rising; all columns of a cause or none."""
+        """Return columns of these rising indices, all or none of a cause, without directions."""
 
         def block(some: Array | None, blocks: Array | slice) -> Factors:
             return self.factors(blocks, columns if some is None else columns[some])
@@ -143,7 +144,7 @@ def serial_columns(E: Columns, order: Array, noise: SerialNoise) -> Columns:
     """Return columns whitened for autocorrelated noise.
 
     order : index of each block of E in time order, shape (n,); noise : of the blocks in that order
-    The variables are those of a block, and those of the block before it.
+    The variables are those of a block and, of autocorrelated noise, those of the block before it.
     """
     variables = E.levers(order[:1]).shape[2]
     weight = noise.weight.reshape(len(order), -1, 1)

@@ -23,7 +23,7 @@ class Fit:
         argument, whether they are replaced
     y : whitened residual, shape (n m,)
     prior, mean : prior standard deviation and mean of every parameter or combination, those of the
-        base first, shape (p,)
+        base first, shape (p,); they are as in the model at any sigma
     W : whitening matrix of each block, shape (n, m, m)
     sums : normal sums of the whitened columns and y
     rows_per_block : number m of rows of each block
@@ -62,7 +62,7 @@ class Fit:
         return rows.reshape(-1, self.rows_per_block, 1)
 
     def _parts(self) -> list[slice]:
-        """Return slices of blocks whose whitened columns stay within the memory limit."""
+        """Return slices of blocks by `MemoryLimits.part_bytes`, of 64 blocks or more."""
         step = max(64, self._memory.part_bytes // (24 * len(self.prior)))
         return [slice(k, min(k + step, len(self.W))) for k in range(0, len(self.W), step)]
 
@@ -129,7 +129,7 @@ class Fit:
     def causes(self) -> tuple[Array, Array]:
         """Return estimates and standard errors of the parameters of `columns`, in typical sizes.
 
-        Both have the shape (len(columns),).
+        Both have the shape (len(columns),); dropped directions add their prior variance.
         """
         first = len(self.prior) - self.combined.width
         directions = self.combined.values(np.eye(self.combined.width))

@@ -8,7 +8,7 @@ import numpy as np
 from casadical.core.basics import Array
 
 # Largest difference of log likelihoods [nats] by which a sigma of the grid may be below the maximum
-# of a group of columns; other sigmas are skipped for that group.
+# of a group of columns; sigmas beyond it for all groups of a call are skipped.
 SIGMA_LOG_LIKELIHOOD_WINDOW = 40.0
 
 
@@ -43,8 +43,8 @@ def log_gain(
     """Return the log likelihood with each group of columns, shape (groups, sigmas, kappas).
 
     The parameters of a group are integrated out. The result is minus infinity at sigmas where it is
-    negligible (see `SIGMA_LOG_LIKELIHOOD_WINDOW`), and for a group that would explain more than the
-    residual: its columns were lost in round-off.
+    negligible for all groups, by `SIGMA_LOG_LIKELIHOOD_WINDOW`, and for a group that would explain
+    more than the residual: its columns were lost in round-off.
 
     sigmas : standard deviations of the white noise, in the unit of the residual
     kappas : prior standard deviations of the parameters in typical sizes, rising

@@ -21,7 +21,7 @@ from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, CachedRows, GridSums
 
 # Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
-# wide group of columns; the search over points ends at the first that exceeds it.
+# wide group of columns; the search to that side ends at the first that exceeds it.
 POINT_LOG_EVIDENCE_WINDOW = 25.0
 
 # The empty set of column indices.
@@ -34,15 +34,16 @@ class Chosen:
 
     It extends a model with fewer groups (`before`) and stores only what that one does not.
 
-    log_base : log likelihood without an additional group, shape (points, sigmas)
+    log_base : log likelihood without an additional group, shape (points, sigmas); minus infinity at
+        points that are not in `LinearModel.near`
     columns : indices of the columns of the groups in it
     new : indices of those columns that `before` does not have, shape (new,)
     combined : the new columns, those of complete parts replaced by combinations
     before : model without the new columns; None for the base alone
     at : update of `before` by the new columns, by index of the grid point
-    V : coordinates of every column in the orthonormal axes of the new ones, by index of the grid
-        point, shape (columns, new)
-    b : products of every column with the whitened residual of this model, by index of the grid
+    V : coordinates of prepared columns in the orthonormal axes of the new ones, or of the base, by
+        index of the grid point, shape (columns, new)
+    b : products of prepared columns with the whitened residual of this model, by index of the grid
         point, shape (columns, 1)
     """
 
@@ -133,14 +134,14 @@ class Marginals:
     def log_base(self, also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood of the base and some columns, shape (points, sigmas).
 
-        also : indices of the columns
+        also : indices of the columns. Points that are not in `near` have minus infinity.
         """
         return self._model_with(also).log_base
 
     def log_grids(self, groups: Sequence[Array], also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood with each group as a cause, (groups, points, sigmas, kappas).
 
-        It is minus infinity at points and sigmas that are skipped as negligible.
+        It is minus infinity at points that are not in `near` and what is skipped as negligible.
 
         groups : indices of the columns of each group, rising
         also : indices of columns that are in the model already and are treated like the base
@@ -172,7 +173,7 @@ class Marginals:
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
         """Accumulate, in one pass, the products needed to judge groups given each chosen one.
 
-        chosen, groups : indices of the columns of each group
+        chosen, groups : indices of the columns of each group; consecutive in each chosen one
         """
         self.sums.add_cross_products(chosen, self.model.near, np.unique(np.concatenate(groups)))
 
@@ -266,8 +267,8 @@ class Marginals:
     def _judge_wide_group(self, group: Array, chosen: Chosen, out: Array) -> None:
         """Write the log likelihood with a group of many columns into `out`.
 
-        Grid points are visited from the likeliest to both sides, as long as they are not
-        negligible.
+        Grid points are visited from the likeliest without the group to both sides, as long as they
+        are not negligible; the others are unchanged.
 
         group : indices of its columns; out : shape (points, sigmas, kappas)
         """
@@ -295,8 +296,8 @@ class Marginals:
         """Return the eigenvalues of a group's Gram matrix and products with the residual, (width,).
 
         The columns are whitened and orthogonal to the chosen model; the products are those of the
-        residual with the columns along the eigenvectors. With fewer rows than columns the width is
-        the number of rows.
+        residual with the columns along the eigenvectors. With fewer rows than combinations of them
+        the width is the number of rows plus that of the parameters in the model.
 
         k : index of the grid point
         """

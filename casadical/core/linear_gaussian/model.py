@@ -57,7 +57,7 @@ class LinearModel:
     memory: MemoryLimits = field(default_factory=MemoryLimits)
     cache: dict[object, Any] = field(init=False, repr=False, default_factory=dict)
 
-    # Names of the fields that have one entry for each block.
+    # Names of the fields, other than E, that have one entry for each block.
     BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "noise", "measured")
 
     def __post_init__(self) -> None:
@@ -115,15 +115,15 @@ class LinearModel:
         """Return the model with k additional columns in the base.
 
         columns : shape (n, m, k)
-        prior : prior standard deviations of their parameters, whose prior means are zero, shape
-            (k,)
+        prior : prior standard deviations of their parameters at sigma = `reference`, shape (k,);
+            the prior means are zero
         """
         J, delta0 = np.concatenate([self.J, columns], axis=2), np.pad(self.delta0, (0, len(prior)))
         return replace(self, J=J, delta0=delta0, prior=np.append(self.prior, prior))
 
     @cached_property
     def absorbed_by_base(self) -> float:
-        """Return the effective number of base parameters, the trace of the base's hat matrix."""
+        """Return the base's effective parameters: trace of its hat matrix, white noise `reference`."""
         A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
         # Not from A'A: the eigenvalues of narrow priors would be lost to round-off next to those of
         # wide ones.
@@ -131,7 +131,7 @@ class LinearModel:
         return float((square / (1 + square)).sum())
 
     def log_over_sigmas(self, square: float, log_norm: float) -> Array:
-        """Return the log likelihood for every sigma of the grid, shape (sigmas,).
+        """Return the log likelihood, up to a constant, for every sigma of the grid, (sigmas,).
 
         square : squared norm of the residual, whitened for sigma = 1
         log_norm : term of the log likelihood that does not depend on sigma

@@ -27,7 +27,7 @@ class Axes:
     precision : inverse variance along each eigenvector in units of 1 / sigma^2, shape (points, n,
         m)
     log_det : log determinant of the covariance of all blocks in units of sigma^2, shape (points,)
-    plain : whether the noise of all rows is independent, so that rows need no rotation
+    plain : whether there is white noise only, so that rows need no rotation
     """
 
     points: tuple[int, ...]
@@ -80,9 +80,9 @@ class NoiseModel:
         return total
 
     def whitening(self, ratios: Mapping[str, Ratio]) -> tuple[Array, float]:
-        """Return the whitening after which every row has independent noise of variance sigma^2.
+        """Return each block's whitening matrix, (n, m, m), to variance sigma^2, and a log determinant.
 
-        ratios : as of `covariance`. The second value is the log determinant (see `whitening_of`).
+        ratios : as of `covariance`. The determinant is that of all blocks (see `whitening_of`).
         """
         return whitening_of(self.covariance(ratios))
 

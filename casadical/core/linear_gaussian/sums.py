@@ -87,7 +87,7 @@ class GridSums:
     def extend(self, other: GridSums) -> None:
         """Take over the cached sums of a model with the same blocks and the first of these columns.
 
-        Sums of the additional columns are computed where all columns have theirs.
+        Products of the additional columns with base and residual are computed, too.
         """
         width = other.E.shape[2]
         self._own, self._wide = dict(other._own), dict(other._wide)
@@ -286,11 +286,11 @@ class GridSums:
                 yield axes, [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
 
     def _parts(self, E: Columns) -> Iterator[slice]:
-        """Return slices of blocks for which the columns E stay within the memory limit."""
+        """Return slices of blocks for which the columns E stay within the limit (see `_slices`)."""
         return self._slices(max(E.shape[2], 1))
 
     def _slices(self, width: int) -> Iterator[slice]:
-        """Return slices of all blocks such that `width` columns stay within the memory limit."""
+        """Return slices of all blocks by `column_bytes` for `width` columns, `min_blocks` or more."""
         blocks, m = self._shape
         step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * width))
         return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))

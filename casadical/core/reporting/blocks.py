@@ -18,7 +18,7 @@ class Words:
 
     text : the paragraph
     kind : its role, which sets its style
-    code : command or code that is shown beneath it; empty: none
+    code : command or code beneath it, but in a PDF and, with a mark, on a terminal; empty: none
     mark : word before it; if given, only the mark has the style of the kind
     """
 
@@ -64,7 +64,7 @@ Block = Words | Table | Figure
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A section of a page with a title; sections without blocks are omitted."""
+    """A section of a page with a title; HTML omits sections without blocks."""
 
     title: str
     blocks: Sequence[Block]

@@ -69,7 +69,7 @@ class Axis:
     title : title with the unit
     ends : lower and upper end of the range that is shown; None: automatic
     log : whether the scale is logarithmic
-    ticks : positions of the ticks; None: automatic
+    ticks : positions of the ticks; None: automatic, 1, 2, 5 of each decade if `log` without `count`
     labels : texts of the ticks; None: their numbers
     count : largest number of automatic ticks
     step : distance between ticks, the first at 1
@@ -96,7 +96,7 @@ class Axis:
 class Rule:
     """A line across the figure at the value `at` of an axis.
 
-    width : width of the line [px]; text : label at its end
+    width : width of the line [px]; text : label at the top of a line across the x axis
     """
 
     axis: Literal["x", "y"]
@@ -122,7 +122,7 @@ class Note:
 
     x, y : its position, in units of the axes, or of the frame (0 to 1) for axes named by `frame`
     side : side of the position on which the text is
-    gap : distance between position and text [px]
+    gap : distance between position and a text at its left or right [px]
     size : size of the letters [px]
     panel : index of the panel in which it is drawn
     """

@@ -83,7 +83,7 @@ class Provenance:
 
     files : path and SHA-256 of every file that was read
     versions : name and version of each library, of Python and of the platform
-    command : command line as it was typed
+    command : command line, quoted for a shell
     date : date and time, UTC
     """
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def terminal(blocks: Sequence[Block]) -> RenderableType:
     """Return the words and tables among blocks as one object that a console of rich prints.
 
-    A blank line is before and after every table; figures are omitted.
+    A blank line is between a table and the blocks next to it; figures are omitted.
     """
     from rich.console import Group
 
@@ -117,10 +117,10 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
 
 
 def shortened(blocks: Sequence[Block], lines: int = 16) -> list[Block]:
-    """Return the blocks that fit into so many lines of 80 columns, in their order.
+    """Return the blocks, at least one, that fit into so many lines of 80 columns, in their order.
 
-    Verdicts, warnings and words in capitals (LEFT OUT) come first, then sentences and tables, then
-    notes.
+    Verdicts, titles, errors, warnings and words in capitals (LEFT OUT) are chosen first, then
+    sentences, tables and figures, then notes.
     """
 
     def weight(block: Block) -> int:

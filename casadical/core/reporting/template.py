@@ -92,7 +92,7 @@ def _line(source: str) -> Template:
 
 
 def sentence(path: Path, result: Any, block: str = "", **more: Any) -> str:
-    """Return the text of a template without tags of paragraphs; arguments as of `paragraphs`."""
+    """Return the text of a template that has no paragraph tags; arguments as of `paragraphs`."""
     return _text(_rendered(path, block, it=result, **more))
 
 
