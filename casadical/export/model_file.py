@@ -207,7 +207,7 @@ def _into_users(
         a campaign
     into : the user's MJCF file; joints : names of its joints, separated by commas
     springs : whether springs are added to the compliant joints; robot : calibrated robot
-    Raises InputError.
+    Raises InputError: no robot from before the calibration, or as of `into_mjcf`.
     """
     if source.is_file() and nominal is None and campaign is None:
         raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
@@ -228,7 +228,7 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     """Return the robot as a URDF (geometry and masses), with the position errors of what it omits.
 
     The user's own URDF is updated where the problem names one; otherwise a new one is written.
-    Raises InputError.
+    Raises InputError: `nominal` is given, or effects are omitted and `leave_out` is false.
     """
     if nominal is not None:
         raise InputError("--nominal has no part in a URDF; remove it")

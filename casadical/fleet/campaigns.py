@@ -31,6 +31,7 @@ from casadical.robot.robot_file import read_robot
 
 # Name of the folder of a problem's later campaigns.
 CAMPAIGNS_FOLDER = "campaigns"
+# Type of the items of `without_copies`.
 Item = TypeVar("Item")
 
 
@@ -131,8 +132,8 @@ def _understood_by(files: Sequence[Path]) -> Path | None:
 def later_tables(folder: Path) -> tuple[list[Path], float | None]:
     """Return the tables in a problem's folder `campaigns`, and the day of the problem's own table.
 
-    Copies of the own table are not returned. The day, in days since 1970, is the last copy's
-    name; None without one.
+    Copies of the own table are not returned. The day is that in the name of the last copy, in days
+    since 1970; None without one.
     """
     own = {read_bytes(table) for table in own_tables(folder)}
     tables = sorted((folder / CAMPAIGNS_FOLDER).glob("*.csv"))

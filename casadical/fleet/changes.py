@@ -129,8 +129,8 @@ class Comparison(Result):
     names : parameters that all campaigns have and that may change
     changes : accepted changes in the order in which they were found
     log_odds : natural logarithm of the odds of an additional change against none
-    seen_from : (cause, size, unit) of the smallest change between the last two campaigns that would
-        be detected; the size is infinite where none would be
+    seen_from : (cause, size, unit) of the smallest jump of each joint's zero and stiffness before
+        the last campaign that would be detected; the size is infinite where none would be
     placements : ("tool" or "base", text): how they moved before the last campaign, where they were
         fitted again
     notes : sentences on what was assumed of the campaigns
@@ -296,7 +296,7 @@ def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, fl
 def in_words(found: Comparison, change: Change) -> str:
     """Return a change in words: its cause, course, first campaign and, for a named cause, size.
 
-    The size is that of its most significant parameter.
+    The size is that of its most significant parameter, for another robot the number of clear ones.
 
     found : comparison to which the change belongs
     """

@@ -298,8 +298,8 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
 def _with_noise_of_file(c: Estimate, held_out: tuple[float, int] | None) -> Estimate:
     """Return a campaign whose noise is pooled with that of a robot file.
 
-    It is unchanged if it has `MIN_FREEDOM` or more, if its noise is much larger than the file's, or
-    without one of the file.
+    It is unchanged if it has `MIN_FREEDOM` degrees of freedom or more, or much more noise than the
+    file, or if the file's is unknown (None).
 
     held_out : standard deviation of a coordinate of the file's held-out poses [m], and their number
     """

@@ -106,7 +106,7 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 
 
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return the candidates for changes of some of the p parameters `names`, at least one each.
+    """Return the candidates for changes that move at least one of the p parameters `names`.
 
     robot : robot with the harmonics of its joints as its last effect
     """

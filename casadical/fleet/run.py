@@ -238,7 +238,7 @@ def _refuse_other_versions(client: Any, scheduler: str) -> None:
     """Check that a scheduler has workers and all of them this version of casadical.
 
     client : dask client of the scheduler at the address `scheduler`
-    Raises InputError.
+    Raises InputError: there is none, or one has another version.
     """
     versions = client.run(locate, "casadical.__version__")
     if not versions:

@@ -111,7 +111,7 @@ class Touches(Result):
 
     @property
     def verdict(self) -> Verdict:
-        """Return the verdict by `probability` and its two limits: "valid", "open" or "changed"."""
+        """Return "valid" from a `probability` of 0.99 on, "changed" up to 0.1, else "open"."""
         if self.probability >= MIN_PROBABILITY_VALID:
             return "valid"
         # The calibration is reported as no longer valid where an error above the tolerance is this
@@ -146,7 +146,7 @@ class Touches(Result):
 
     @property
     def better(self) -> bool:
-        """Return whether the correction is significant and large enough for a corrected robot file."""
+        """Return whether a correction surely helps (0.95), by over 20 % of the error stated."""
         before, after, sure = self.gain
         # A correction must be better with a probability of 0.95, and remove more than 20 % of the
         # error that the file states.
@@ -453,7 +453,7 @@ def judge_touches(
     fleet: str | Path | None = None,
     seed: int = 0,
 ) -> Touches:
-    """Return whether a calibrated robot is still valid, from points touched on one or several days.
+    """Return the verdict whether a robot's calibration is still valid, from touches of some days.
 
     The points are positions in the measuring frame of the calibration.
 
@@ -466,9 +466,9 @@ def judge_touches(
     fleet : JSON file of `casadical fleet --json`, from which frequencies of changes are learnt;
         None: those of `CHANGE_FREQUENCY`
     seed : random seed of the posterior samples
+    Returns the verdict; where the touches do not decide, with the poses of two more
     Raises InputError: no positions or fewer than two on a day, another frame or robot, a file that
         states no errors.
-    Returns the verdict; where the touches do not decide, with the poses of two more
     """
     place = result_in(Path(robot))
     arm, _ = without_instrument(read_robot(place))

@@ -49,8 +49,7 @@ class Coefficients:
 
 # Largest absolute angle that sincos reduces exactly [rad]; a larger one violates a guard.
 ANGLE_LIMIT = 1024.0
-# Largest absolute argument of exp: smaller ones than its negative are clipped to that, and larger
-# ones violate a guard.
+# Largest argument of exp: a larger one violates a guard, and one below its negative is clipped.
 EXP_LIMIT = 43.0
 # Smallest ratio of the smaller to the larger coordinate at which atan2 subtracts pi/4; any value
 # near tan(pi/8) is right.

@@ -139,7 +139,7 @@ class Command:
         rotate it at a fixed position. Where a pose has fewer than six in all, the position has
         priority, and the orientation is corrected as far as the joints allow
     notes : sentences for the reader of the header
-    Raises InputError: functions of other shapes, or a number of steps that is not allowed.
+    Raises InputError: functions of other shapes, or a box, units or steps that are not allowed.
     """
 
     nominal: casadi.Function
@@ -195,7 +195,7 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
 
     n : number of joints, which its inputs must be
     sizes : numbers of outputs that are allowed; None: any but 0
-    Raises InputError.
+    Raises InputError: the function has other numbers.
     """
     n_in = sum(function.numel_in(i) for i in range(function.n_in()))
     n_out = sum(function.numel_out(i) for i in range(function.n_out()))

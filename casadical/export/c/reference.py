@@ -363,6 +363,9 @@ class StepState:
 def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
     """Return the correction of one controller cycle, shape (n,) [rad or m], and its status.
 
+    It ramps in or out and follows `correct` within the limits per cycle (RATE_LIMITED). A state
+    that is out of bounds is reset first (NOT_FINITE).
+
     state : state of the last cycle, which is changed in place
     q : commanded joints, shape (n,) [rad or m]; enable : whether the correction is on
     """

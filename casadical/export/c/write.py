@@ -303,7 +303,7 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
     """Check that no existing file would be overwritten that no export wrote or that was changed.
 
     names : names of the files to write; overwrite : whether such files may be overwritten
-    Raises InputError.
+    Raises InputError: one would be, or the folder is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder")

@@ -43,7 +43,7 @@ class GivenAngles(Effect):
 def joint_curves(robot: Robot) -> ca.Function | None:
     """Return the CasADi function of the joints' error curves, q[n] -> dq[n] [rad].
 
-    q are the variables of the DH rows, dq true angles less q, 0 for a joint without any.
+    q are the variables of the DH rows, dq true angles less q, 0 for a joint without coefficients.
     The function is called and not inlined, so that the C makes tables of it. None is returned for a
     robot without curves.
 

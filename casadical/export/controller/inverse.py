@@ -225,8 +225,8 @@ class Postures:
         """Return the function of the numbers whose signs define a posture.
 
         signs:(q[6])->(distance of the wrist before axis 1 [m], bend of the elbow [m^2], reading of
-        joint 5 [rad], distance of axes 4 and 6 from the wrist's centre [m]). Before axis 1 is where
-        the root frame's x axis points where joint 1 reads zero.
+        joint 5 [rad], summed distance of axes 4 and 6 from the wrist's centre [m]). Before axis 1
+        is the side to which the root frame's x axis points where joint 1 reads zero.
         """
         q = ca.SX.sym("q", 6)
         values = {p.name: ca.SX(p.value) for p in self.nominal.parameters}

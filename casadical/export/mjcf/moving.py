@@ -235,8 +235,8 @@ def _unrepresented_drive_properties(robot: Robot) -> Iterator[str]:
 def omitted_drive_parameters(robot: Robot) -> tuple[str, ...]:
     """Return a tuple of one sentence on drive parameters that a URDF omits.
 
-    It states the largest droop under gravity [mrad], the largest delay [ms] and a surface. It
-    is empty unless `has_motion_parameters`.
+    It states the largest droop under gravity [mrad], the largest delay [ms] and the floor, if any.
+    The tuple is empty unless `has_motion_parameters`.
     """
     if robot.drive is None or not has_motion_parameters(robot):
         return ()

@@ -105,7 +105,7 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
 
     source : name of the program, for messages; line : line of the position
     axes : factor of each joint's number to SI
-    Raises InputError.
+    Raises InputError: it has more joints than the robot, or other units.
     """
     name = f"P[{words(position, 'NUMBER')[0]}]"
     group = parts(parts(position, "group")[0], "item")

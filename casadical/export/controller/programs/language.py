@@ -95,7 +95,7 @@ class ProgramLanguage(ABC):
         """Return the transform, shape (4, 4) [m], of a tool or base.
 
         where : beginning of error messages; values : its numbers [SI]
-        Raises InputError.
+        Raises InputError: they are not finite, or no pose.
         """
         if not np.isfinite(values).all():
             raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
@@ -107,7 +107,7 @@ class ProgramLanguage(ABC):
 
         option : name of the command's option, for messages
         text : numbers of the pose as the controller shows them, separated by commas
-        Raises InputError.
+        Raises InputError: they are not as many as `units`, not finite, or no pose.
         """
         try:
             numbers = [float(part) for part in text.split(",")]

@@ -332,7 +332,7 @@ def correct_file(
     nearest, external_still, leave_unreached : as of `Cell`
     accuracy_off : whether the controller's own absolute accuracy is off; else targets that were
         taught with it on are refused
-    Raises InputError.
+    Raises InputError: an option, a file or the program cannot be used.
     """
     model, oriented = Path(cast(Path, sources.robot)), wants_pose(correct)
     if not model.exists():

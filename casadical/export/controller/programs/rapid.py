@@ -214,7 +214,7 @@ class _Module:
         The reason is returned as text where it cannot be used.
 
         kind : tooldata or wobjdata; given : transforms from outside the program by name
-        Raises InputError.
+        Raises InputError: its value changes in the program.
         """
         by_name = {key.lower(): T for key, T in given.items()}
         if name in by_name:

@@ -215,7 +215,7 @@ class _Program:
         return made if near is None or joints else replace(made, near=_si(near))
 
     def _refuse_units(self, target: Target) -> None:
-        """Check that a target's numbers are plausible in m and rad. Raises InputError."""
+        """Check that a target is within 20 m and 4 pi rad. Raises InputError if not."""
         size = np.abs(target.si)
         if not target.joints and size[:3].max() > 20.0:
             raise InputError(
@@ -241,7 +241,7 @@ def _listed(value: Tree[Token] | Token | None) -> Tree[Token] | None:
 
 
 def _si(value: Tree[Token] | None) -> Array | None:
-    """Return the numbers of a pose or list in SI units, shape (6,); None if there are not six."""
+    """Return the numbers of a pose or list in SI units, shape (6,); None if they are not six."""
     read = None if value is None else _numbers(value)
     return np.array([number.si for number in read]) if read and len(read) == 6 else None
 
