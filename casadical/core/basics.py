@@ -76,7 +76,7 @@ class Fault:
     remedy: str
 
     def within(self, other: "Fault") -> bool:
-        """Return whether `other` is the same fault, in all rows of this one and in further ones."""
+        """Return whether `other` is this fault, but for value and remedy, in these rows and more."""
         same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
         return same and {*self.rows} < {*other.rows}
 
@@ -123,7 +123,7 @@ class FaultsError(InputError):
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:
     """Call all functions and raise the InputErrors of those that fail as one error.
 
-    Raises InputError.
+    Raises InputError; an error of another type is raised at once.
     """
     errors: list[InputError] = []
     for step in steps:

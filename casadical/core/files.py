@@ -192,7 +192,7 @@ def locked(handle: int) -> bool:
 def real_path(path: Path) -> Path:
     """Return the absolute path with symbolic links resolved; the file itself may be missing.
 
-    Raises OSError, ValueError or RuntimeError.
+    Raises OSError, ValueError or RuntimeError: it cannot be followed, as a loop of links.
     """
     with suppress(FileNotFoundError):
         path.stat()  # says what is wrong with a path, which `resolve` does not

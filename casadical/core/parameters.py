@@ -99,8 +99,7 @@ class Parameters(Sequence[Parameter]):
     def select(self, wanted: Iterable[str]) -> tuple[str, ...]:
         """Return the names of the selected parameters, in model order.
 
-        wanted : groups, unions of groups (kinematic, placement), names, or patterns with *; one text
-            is one of them
+        wanted : one or more groups, unions (kinematic, placement), names, or patterns with *
         Raises InputError: a word that selects nothing, other than a union or compliance.
         """
         chosen: set[str] = set()

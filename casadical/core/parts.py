@@ -478,7 +478,7 @@ def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
     """Check that a four-bar drives a revolute joint from its parallel neighbour.
 
     number : number of the four-bar, from 1, for the message
-    Raises InputError.
+    Raises InputError, also where two four-bars drive one joint.
     """
     where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
     if not 1 <= loop.carrier < loop.driven <= arm.n or loop.driven - loop.carrier != 1:

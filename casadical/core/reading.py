@@ -25,21 +25,21 @@ from typing import Any
 from casadical.core.basics import InputError, shown
 from casadical.core.files import own_stream
 
-# Largest size of a table of measurements [bytes]; larger files are refused.
+# Largest size of a table, a robot program and, by default, any file [bytes]; larger are refused.
 MAX_TABLE_BYTES = 500_000_000
-# Largest size of a TOML file, an XML file or a robot program [bytes]; larger ones are refused.
+# Largest size of a TOML, XML or YAML file, or of a live stream [bytes]; larger ones are refused.
 MAX_TEXT_BYTES = 10_000_000
 # Largest size of a JSON file [bytes]; larger ones are refused.
 MAX_JSON_BYTES = 100_000_000
-# Largest size of a zip archive, a workbook, after unpacking [bytes]; larger ones are refused.
+# Largest size of a zip archive (workbook, npz) after unpacking [bytes]; larger ones are refused.
 MAX_UNPACKED_BYTES = 100_000_000
 # Largest number of cells of a spreadsheet workbook; larger ones are refused.
 MAX_WORKBOOK_CELLS = 300_000
 # Largest number of values, rows times columns, of a plain CSV or Parquet table or a joint log;
 # larger ones are refused.
 MAX_TABLE_NUMBERS = 30_000_000
-# Largest number of items of one kind in a file (links, effects, definitions, targets, measurements);
-# files with more are refused.
+# Largest number of items of one kind in a file (links, effects, definitions, targets, tables of
+# measurements); files with more are refused.
 MAX_ITEMS = 1000
 # Largest absolute value of a number in a file; greater ones are refused, so that squares and
 # products are finite doubles.
@@ -103,7 +103,7 @@ def regular(path: str | Path) -> Path:
 
 @contextmanager
 def _opening(path: Path) -> Iterator[None]:
-    """Convert the system errors of the block, which opens a file. Raises InputError."""
+    """Raise an InputError in place of a system error of the block, which opens a file."""
     try:
         yield
     except FileNotFoundError:
@@ -155,7 +155,7 @@ def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a TOML file. Raises InputError."""
+    """Return the tables of a TOML file. Raises InputError: no TOML in UTF-8, a BOM, or unreadable."""
     data = read_bytes(path, MAX_TEXT_BYTES)
     try:
         if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -170,7 +170,7 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 
 
 def load_json(path: str | Path) -> Any:
-    """Return the object in a JSON file as a dictionary. Raises InputError."""
+    """Return the object in a JSON file as a dictionary; errors as of `read_bytes`, `json_of`."""
     return json_of(read_bytes(path, MAX_JSON_BYTES), shown(path))
 
 
@@ -200,7 +200,7 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
 
 
 def _integer(text: str) -> int:
-    """Return the integer of a JSON number. Raises ValueError for one of too many digits."""
+    """Return the integer of a JSON number. Raises ValueError for more than 100 digits."""
     # Largest number of digits of an integer in JSON; longer ones are refused.
     max_integer_digits = 100
     if len(text) > max_integer_digits:
@@ -218,7 +218,7 @@ def _finite(text: str) -> float:
 def read_xml(path: str | Path) -> bytes:
     """Return the content of an XML file as UTF-8 bytes without its XML declaration.
 
-    Raises InputError, also where the file defines a document type (entities).
+    Raises InputError: not XML's text, an encoding that is not read, or a document type (entities).
     """
     data = read_bytes(path, MAX_TEXT_BYTES)
     # Pattern of the encoding that the declaration of an XML file states.
@@ -270,7 +270,7 @@ def _of_python(error: BaseException | None) -> bool:
 
 
 def archive_of(data: bytes, source: str) -> io.BytesIO:
-    """Return the bytes of a zip archive as a stream; source : name for messages.
+    """Return the unchanged bytes of a zip archive as a stream; source : name for messages.
 
     Raises InputError: damaged, or more than `MAX_UNPACKED_BYTES` after unpacking.
     """

@@ -431,10 +431,7 @@ class Effect:
         return {key: value for key, value in entries.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that the arm has the effect's joint, and those in its settings.
-
-        Raises InputError.
-        """
+        """Check that the arm has the joints of effect and settings. Raises InputError."""
         for f in fields(self):
             number = getattr(self, f.name)
             if (f.name == "joint" or f.metadata.get("joint")) and number is not None and number not in arm.numbers:

@@ -297,10 +297,10 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
 def check_values(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
     """Check that a formula is zero where its parameters are, and finite and bounded elsewhere.
 
-    Values are checked at 200 random points, where NaN counts as zero only in the first check;
-    bounds are by intervals (see `bounds` and `_range_of`).
+    Values are checked at 200 random points, NaN passing as zero where the parameters are; bounds
+    by intervals (see `bounds` and `_range_of`).
     parameters : names of the parameters; settings : values of the settings, by name
-    Raises InputError.
+    Raises InputError that names the formula.
     """
     ranges = {name: _range_of(name) for name in formula.names} | {n: (float(v), float(v)) for n, v in settings.items()}
     bounds(formula, lambda name: ranges[name])
@@ -383,7 +383,7 @@ def image_columns(side: str, what: str) -> tuple[str, str, str]:
     the tool frame (see `diagnosis.instrument_columns`).
     side : one of CAMERA_SIDES
     what : "depth", the component along the optical axis, or "radial", the component across it
-        multiplied by the square of its slope, of 2 at most
+        multiplied by its squared slope, 4 at most
     """
     x, y, z = (f"{side}_{what}_{c}_m" for c in "xyz")
     return x, y, z
@@ -438,7 +438,7 @@ def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
 
 @lru_cache(maxsize=1024)
 def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
-    """Check that a law's formula is allowed at its insertion point. Raises InputError.
+    """Check that a law's formula is allowed and has all its factors. Raises InputError.
 
     factors : names of its parameters. The result is cached for all stations of a law.
     """

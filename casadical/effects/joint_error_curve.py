@@ -71,7 +71,7 @@ class JointErrorCurve(Effect):
         }
 
     def for_poses(self, count: int, distinct: Sequence[int] = ()) -> "JointErrorCurve":
-        """Return the effect with `EXTENDED_ORDERS`, not `DEFAULT_ORDERS`, from 400 poses on.
+        """Return the effect with `EXTENDED_ORDERS` for `DEFAULT_ORDERS` from 400 poses on.
 
         A joint with k distinct angles, fewer than half of the poses, has no curve if they do not
         determine all orders, at most (k - 1) / 2: values between the angles would be arbitrary.

@@ -321,7 +321,7 @@ def marginals_of(model: LinearModel) -> Marginals:
 
 
 def take_over_cache(model: LinearModel, other: LinearModel, changed: Sequence[LinearModel] = ()) -> None:
-    """Give a model the cached marginal likelihoods of another one, brought up to date.
+    """Give a model the cached marginal likelihoods of another one, if any, brought up to date.
 
     other : model with the same blocks and the first of these columns, or with other blocks
     changed : model of the blocks that `other` has and `model` has not, and model of the blocks that

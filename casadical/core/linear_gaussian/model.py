@@ -100,9 +100,9 @@ class LinearModel:
     def with_base(self, columns: Array) -> Self:
         """Return the model with columns of these indices, rising, copied to the base.
 
-        They stay among the candidates, so that indices keep their meaning. Their prior is
-        `cause_prior_sigmas`. Directions that change no row are dropped, which
-        changes its log likelihoods by a constant.
+        They stay among the candidates, so that indices keep their meaning. Their prior
+        at sigma = `reference` is `cause_prior_sigmas`. Directions that change no row are dropped,
+        which changes the log likelihoods by a constant.
         """
         if not len(columns):
             return self
@@ -123,7 +123,10 @@ class LinearModel:
 
     @cached_property
     def absorbed_by_base(self) -> float:
-        """Return the base's effective parameters: trace of its hat matrix, white noise `reference`."""
+        """Return the effective number of base parameters, the trace of the base's hat matrix.
+
+        The noise of the rows is taken as white, of standard deviation `reference`.
+        """
         A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
         # Not from A'A: the eigenvalues of narrow priors would be lost to round-off next to those of
         # wide ones.

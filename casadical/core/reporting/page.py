@@ -32,7 +32,7 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
 
     command : words of the command line that made it
 
-    Raises InputError where plotly is not installed, or a file of a page is gone.
+    Raises InputError where plotly is not installed, or a file of a page cannot be read.
     """
     text: str = (
         pages_of(TEMPLATES)
@@ -113,7 +113,7 @@ def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datet
 
 
 def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file as hexadecimal digits. Raises InputError."""
+    """Return the SHA-256 of a file as hexadecimal digits. Raises InputError if unreadable."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

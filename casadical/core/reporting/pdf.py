@@ -66,6 +66,7 @@ def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
     """Return the drawn pages, and the number of the first that overflows, from 1; None: none does.
 
     scale : factor on the size of type, distances and figures, not on the footer or figures' type
+    Raises InputError where fpdf2 is not installed.
     """
     # Message of the InputError where fpdf2 is not installed.
     missing_fpdf = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
