@@ -107,7 +107,8 @@ def robot_model(
     joints : for `into`, names of the arm's joints in that model, separated by commas
     springs : for `into`, whether compliant joints get springs in addition
     checksum : for "ur", checksum of the controller's own calibration
-    leave_out : whether effects that the format cannot represent are omitted; else they are refused
+    leave_out : for "mjcf" and "urdf", whether effects that the format cannot represent are omitted;
+        else they are refused. Tables of geometry always omit them
     show : function that is called with each line of progress
     Returns the text of the file (`text`), and sentences on what it omits and the position error
         that this causes (`lines`)

@@ -240,7 +240,7 @@ def population_of(
                 (squares + robots_in_usual_spread * usual / len(H)) / (len(H) + robots_in_usual_spread), MIN_SPREAD**2
             ),
         )
-        # Iteration ends when no spread changes by more, relatively.
+        # Iteration ends when no variance between robots changes by more, relatively.
         if np.abs(np.log(tau2 / before)).max() < 1e-3:
             break
     return mean, C, np.sqrt(tau2)

@@ -236,7 +236,7 @@ class Fleet(Result):
         They are outliers, or have grown residuals, changes, parameters at bounds, unused campaigns
         or a cause that the diagnosis found.
         """
-        # Words in a robot's notes that mark a campaign which was not used.
+        # Notes with "is left out:" name campaigns that were not used.
         some = self.robots[
             self.robots["robot"].isin([*self.outliers, *self.grown])
             | (self.robots["changes"] != "")

@@ -183,8 +183,8 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
     return figures
 
 
-# Smallest fraction of poses in the joint box, 0 to 1, at which a correction must converge to count
-# as verified; poses at which the model has no value do not count.
+# Smallest share of poses in the joint box with status OK, 0 to 1, from which on a correction counts
+# as verified: `share_converged` of `_of_command`.
 MIN_SHARE_CONVERGED = 0.9
 
 

@@ -53,7 +53,7 @@ def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
     """
     frames = frames_at_zero(robot.joints)
     z, p = frames[0][:3, 2], frames[0][:3, 3]
-    x = np.array([1.0, 0.0, 0.0]) - z[0] * z  # the first axis, projected perpendicular to z
+    x = np.array([1.0, 0.0, 0.0]) - z[0] * z  # the base's x axis, projected perpendicular to z
     x /= np.linalg.norm(x)
     base = frame(np.column_stack([x, np.cross(z, x), z]), p - (z @ p) * z)
     at, rows = base, []

@@ -51,6 +51,10 @@ class EngineModel:
     """A model compiled by MuJoCo that is brought to equilibrium at commands.
 
     xml : text of a model as `mjcf` writes it
+    m, d : MuJoCo's model and data; arm : number n of drives
+    servos, drives : indices of their actuators and of the joints these move, shape (n,)
+    free, play, stopped, sprung : indices of passive hinges of loops, of backlash joints, of springs
+        between stops, and of all joints with a spring or a servo
     """
 
     def __init__(self, xml: str) -> None:
