@@ -774,7 +774,8 @@ def diagnosed(folder: Path, entry: dict) -> None:
     assert campaign is not None
     answer = campaign.diagnosed()
     fits = [{"effect": f.label.partition("@")[0], "joint": int(f.label.partition("@")[2] or 0)} for f in answer.fitting]
-    kept = {"verdict": answer.verdict, "causes": [*answer.causes, *fits], "ranking": answer.ranking}
+    faults = [c for c in answer.causes if {"effect": c["effect"], "joint": c["joint"] or 0} not in fits]
+    kept = {"verdict": answer.verdict, "causes": [*faults, *fits], "ranking": answer.ranking}
     kept |= {"cpu": time.process_time() - began, "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
     (folder / f"{name}.answer.json").write_text(json.dumps(kept))
 

@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from casadical.core.drive import Drive
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.motion.engine import Found
-from casadical.diagnosis.motion.result import diagnose_log
+from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, motion_of
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import effects_by_name
@@ -124,7 +125,7 @@ def foreign(run, t, q, v, tau):
 def test_named(fault, labels):
     found = diagnosed(1, fault)
     assert [f.label for f in found.fitting] in (labels, [label.replace("transport_delay", "lag") for label in labels])
-    assert found.verdict == "unknown"  # no claim is made: see docs/joint-logs.md
+    assert found.verdict == "explained"
     before, after = found.gap()[1:]
     assert after.sum() < 1.001 * before.sum()
 
@@ -271,9 +272,8 @@ def test_the_command_recognises_a_log(tmp_path):
     assert told.exit_code == 0, told.output
     assert "joint 3: a torque in a short part of one run" in " ".join(told.output.split())
     found = json.loads(Path(out).read_text())
-    assert (found["verdict"], found["causes"]) == ("unknown", [])
-    assert (found["fits"][0]["effect"], found["fits"][0]["joint"]) == ("contact", 3)
-    assert "no cause is named" in " ".join(told.output.split())
+    assert (found["verdict"], found["causes"]) == ("explained", found["fits"])
+    assert [(cause["effect"], cause["joint"]) for cause in found["causes"]] == [("contact", 3)]
     assert len(told.output.splitlines()) <= 25
     refused = CliRunner().invoke(app, ["diagnose", robot, log, "--bootstrap", "50"])
     assert "--bootstrap: is for measured poses, not for joint logs" in str(refused.exception)
@@ -453,3 +453,11 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
 @pytest.mark.parametrize(("gain", "rival", "fits"), [(70.0, 80.0, True), (70.0, 90.0, False), (30.0, 0.0, False)])
 def test_a_cause_fits_with_evidence_that_no_smooth_function_exceeds(gain, rival, fits):
     assert Found("spring@2", 0, True, 1.0, ("spring@2",), gain, rival).fits is fits
+
+
+def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
+    labels = (("lag@1", 400.0), ("saturation@1", 120.0), ("ripple@2", 50.0), ("spring@3", 70.0))
+    outcome = SimpleNamespace(found=[Found(k, 0, True, 1.0, (k,), gain, 0.0) for k, gain in labels])
+    for torque, named in ((1.0, ["lag@1", "spring@3"]), (None, [])):
+        view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
+        assert [f.label for f in LogDiagnosis(None, view, outcome, ()).named] == named

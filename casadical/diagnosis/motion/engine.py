@@ -33,25 +33,8 @@ MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its resp
 MAX_CAUSES = 3  # largest number of causes that are searched for
 MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
 MIN_EVIDENCE = 30.0  # smallest log evidence [nats] with which a cause enters the model
-# Causes that may fit (see `Found.fits`). Others are hints: play, warming, a link's mass and a torque
-# constant stand for errors of the base on the logs on which the rule was developed.
-FITTING_CAUSES = frozenset(
-    [
-        "payload",
-        "coulomb_friction",
-        "viscous_friction",
-        "load_friction",
-        "transport_delay",
-        "lag",
-        "ripple",
-        "saturation",
-        "spring",
-        "contact",
-        "zero_offset_step",
-        "servo_stiffness",
-        "reflected_inertia",
-    ]
-)
+# Causes that never fit: on the logs of which the rule was learnt they stand for errors of the base.
+DOUBTFUL_CAUSES = frozenset(["play", "warm_up", "link_mass", "torque_constant"])
 MIN_FIT_EVIDENCE = 40.0  # smallest log evidence [nats] of a cause that fits
 # The same of further causes: an earlier one whose formula is not exact leaves a part of its effect.
 MIN_FURTHER_EVIDENCE = 60.0
@@ -286,11 +269,11 @@ class Found:
 
     @property
     def fits(self) -> bool:
-        """Return whether the cause fits: in `FITTING_CAUSES`, with enough evidence and probability."""
+        """Return whether it fits: no doubtful cause, with enough evidence and probability."""
         name = self.label.partition("@")[0]
         return (
             self.listed
-            and name in FITTING_CAUSES
+            and name not in DOUBTFUL_CAUSES
             and self.gain >= max(MIN_FIT_EVIDENCE, MIN_RIVAL_RATIO * self.rival)
             and self.probability >= MIN_FIT_PROBABILITY
         )

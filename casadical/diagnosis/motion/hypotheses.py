@@ -17,8 +17,6 @@ from casadical.effects.settings import grid_points
 
 # Causes that only a healthy log of the same arm can show.
 FRICTION_CAUSES = ("coulomb_friction", "viscous_friction", "load_friction")
-# The same of a log of commands alone, where friction and a servo's gain look like a load.
-MASS_CAUSES = ("payload", "link_mass")
 # Name of dry and of viscous friction among a cause's variables -> kinds of the base's torque columns.
 FRICTION_KINDS = {"friction": ("slip", "loaded", "dip"), "drag": ("viscous", "curved")}
 
@@ -30,7 +28,8 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
     """
     log = views[0]
     # Without a reference the base's friction may be any: that it has grown cannot be judged.
-    hidden = FRICTION_CAUSES if log.motion.torque is not None else (*FRICTION_CAUSES, *MASS_CAUSES)
+    # In a log of commands alone friction and a servo's gain look like a load.
+    hidden = {*FRICTION_CAUSES, *(("payload", "link_mass") if log.motion.torque is None else ())}
     testable = [kind for kind in chosen if len(views) > 1 or kind.name not in hidden]
     effects = [c for kind in testable for c in _settings(kind, log.arm.joints)]
     if log.motion.torque is not None:

@@ -58,7 +58,10 @@ class LogDiagnosis(Result):
         Key("verdict"),
         Key("causes"),
         Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting]),
-        Key("alike", lambda d: [_plain(k, d.probability_of(k)) for f in d.outcome.found[:1] for k in f.twins]),
+        Key(
+            "alike",
+            lambda d: [_plain(k, d.outcome.rankings[0].probability[k]) for f in d.outcome.found[:1] for k in f.twins],
+        ),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
         Key("torque_by_model", lambda d: d.torques.plain["models"] if d.torques else {}),
@@ -88,7 +91,7 @@ class LogDiagnosis(Result):
     def fitting(self) -> tuple[Found, ...]:
         """Return the causes that fit (see `Found.fits`), at most one of each joint.
 
-        They are hints, as no cause is named; () if the log is faulty.
+        They are named if torques were logged, else hints; () if the log is faulty.
         """
         found = () if self.faults else self.outcome.found
         joints = [f.label.partition("@")[2] for f in found]
@@ -100,12 +103,14 @@ class LogDiagnosis(Result):
         )
 
     @property
-    def verdict(self) -> str:
-        """Return "explained" (by faults of the log or stops), "ambiguous", "unknown" or "none".
+    def named(self) -> tuple[Found, ...]:
+        """Return the causes that are named: those that fit a log with torques."""
+        return () if self.view.motion.torque is None else self.fitting
 
-        It is unknown if the log shows more than a usual arm, as no other causes are named.
-        """
-        if self.faults or self.stops:
+    @property
+    def verdict(self) -> str:
+        """Return "explained" (something is named), "ambiguous", "unknown" or "none"."""
+        if self.faults or self.stops or self.named:
             return "explained"
         if not self.outcome.found:
             return "none"
@@ -174,14 +179,15 @@ class LogDiagnosis(Result):
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis as blocks of sentences and tables."""
         said = [*(f.sentence for f in self.faults), *(_stop_in_words(s, self.log) for s in self.stops)]
-        problem, found = self.outcome.problem, self.outcome.found
-        # A smooth function stands for what is on no list, and no user is helped by its name.
-        if found and found[0].listed and not self.stops:
-            hint = in_words(problem, found[0].label)
-            said.append(f"more is there than in a usual arm; no cause is named, and what fits best is a hint: {hint}")
-        elif found and not self.stops:
-            at = found[0].label.split(" of joint ")[-1].split(" ")[0]
-            said.append(f"more is there than in a usual arm, most of all in joint {at}; no listed cause fits it")
+        hints = [in_words(self.outcome.problem, *f.twins) for f in self.fitting]
+        if self.named:
+            said += hints
+        elif self.outcome.found and not self.stops:
+            said.append("more is there than in a usual arm")
+            first = self.outcome.found[0].label
+            joint = first.partition("@")[2] or first.partition(" of joint ")[2].partition(" ")[0]
+            said[-1] += f", most of all in joint {joint}" if joint else ""
+            said[-1] += f"; no cause is named, but a hint fits: {hints[0]}" if hints else "; no listed cause fits it"
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
             said=said,
@@ -260,14 +266,10 @@ class LogDiagnosis(Result):
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """Return faults of the log, and stops with their angles, as plain data."""
+        """Return faults of the log, stops with their angles, and named causes, as plain data."""
         faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
         stops = ({**_plain(f"contact@{s.joint + 1}", 1.0), "angle_rad": s.angle} for s in self.stops)
-        return [*faults, *stops]
-
-    def probability_of(self, label: str) -> float:
-        """Return the probability of a first cause, by its label."""
-        return float(self.outcome.rankings[0].probability[label])
+        return [*faults, *stops, *(_plain(f.label, f.probability) for f in self.named)]
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
@@ -296,12 +298,16 @@ def _stop_in_words(stop: Stop, log: JointLog) -> str:
     )
 
 
-def in_words(problem: LogProblem, label: str) -> str:
-    """Return a text on how the cause of a label appears in data, with its joint."""
+def in_words(problem: LogProblem, label: str, *twins: str) -> str:
+    """Return a text on how the cause of a label appears in data, with its joint.
+
+    twins : labels of causes that these data do not distinguish from it; their names are added
+    """
     candidate = problem.by_label[label]
     if not candidate.listed:
         return f"on no list: {label}"
-    signature = candidate.variants[0][0].signature
+    names = dict.fromkeys(k.partition("@")[0] for k in (label, *twins))
+    signature = candidate.variants[0][0].signature + (f" ({' or '.join(names)})" if twins else "")
     return f"joint {candidate.joint}: {signature}" if candidate.joint else signature
 
 

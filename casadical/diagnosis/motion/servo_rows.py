@@ -15,6 +15,7 @@ from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, LogProblem, Rows
 from casadical.diagnosis.motion.response import simulated
+from casadical.diagnosis.motion.torque_rows import WARM_UP_TIME_S
 from casadical.diagnosis.motion.view import LogView, Signals
 
 # The base's parameters of a joint with, each, the prior standard deviation for a declared drive (see
@@ -46,7 +47,6 @@ TYPICAL_DAMPING_SHARE = 1.5
 TYPICAL_INERTIA_SHARE = 1.6  # prior median of inertia / declared inertia (motors add to it)
 CLOCK_STEPS = 0.25  # clocks of commands and readings differ by about this [samples]
 STRIBECK_SPEED_RAD_S = 0.1  # speed at which the excess of friction at low speed has fallen to 1/e
-WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
 TYPICAL_LAG_S = 0.06  # prior median of damping / gain where kd is not declared [s]
 BASE_NOISE_RAD = 1.5e-3  # typical noise of a position in a replay, without the reading's resolution
 SETTLING_TIME_S = 0.3  # time at the start of each run that is not used [s]
@@ -94,13 +94,10 @@ class Replay:
         """
         out = [
             self._angles(joint[s], x[s], signals[s], None if capacity is None else capacity[s])
-            for s in self._batches(len(x))
+            for k in range(0, len(x), VARIANTS_PER_BATCH)
+            for s in [slice(k, k + VARIANTS_PER_BATCH)]
         ]
         return np.concatenate(out, axis=1)
-
-    @staticmethod
-    def _batches(count: int) -> list[slice]:
-        return [slice(k, k + VARIANTS_PER_BATCH) for k in range(0, count, VARIANTS_PER_BATCH)]
 
     def _angles(self, joint: Array, x: Array, signals: Sequence[Signals], capacity: Array | None) -> Array:
         """Return the result of `angles` for one batch of variants."""
