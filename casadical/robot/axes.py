@@ -2,8 +2,8 @@
 
 The latter is for nearly parallel neighbours. Each row is computed in the frame of the rows before
 it, so that rounding errors do not accumulate along the chain. Where the common normal leaves a
-choice, the simpler table wins: d = 0 before a nearly parallel axis, a >= 0, frames 0 and n oriented
-like the base and the tip.
+choice, the simpler table wins: d = 0 before a nearly parallel axis, a >= 0 (but for an |a| below
+1e-5 m), and x axes of frames 0 and n along those of the base and the tip.
 """
 
 import operator
@@ -23,7 +23,7 @@ ROUNDING_TOLERANCE = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """A joint's axis at zero readings of all joints, in a common frame of the chain.
+    """A joint's axis where all joint variables are zero, in a common frame of the chain.
 
     point : any point on the axis, shape (3,) [m]; direction : unit vector, shape (3,)
     """
@@ -37,9 +37,8 @@ class Chain:
     """A chain in modified DH form.
 
     base : frame 0 in the frame in which the axes were given, shape (4, 4) [m]
-    rows : with their geometry only
-    frames : of the links at zero readings, in the frame in which the axes were given, each (4, 4)
-        [m]
+    rows : one per axis, with their geometry only; limits, kinds and bodies are the defaults
+    frames : link frames at zero joint variables in the frame of the given axes, each (4, 4) [m]
     tool : the tip in the last link's frame, shape (4, 4) [m]
     """
 
@@ -50,11 +49,11 @@ class Chain:
 
 
 def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
-    """Return the modified DH rows of a chain that is given by its axes at zero readings.
+    """Return the modified DH form of a chain given by its joint axes at zero joint variables.
 
     Axes may be parallel, antiparallel, intersecting or coincident.
 
-    axes : in a common frame; tip : frame of the chain's end in it, shape (4, 4) [m]
+    axes : from base to tip, in a common frame; tip : chain's end in that frame, shape (4, 4) [m]
     """
     # Frame 0 has z along the first axis, its origin at the axis' point nearest to the common
     # frame's origin, and x oriented like the common frame's.
@@ -85,12 +84,12 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
 
 
 def frames_at_zero(rows: Sequence[Joint]) -> list[Array]:
-    """Return the frames of all links at zero readings in frame 0, each (4, 4) [m], from base on."""
+    """Return frames 1 to n of the links at zero joint variables in frame 0, each (4, 4) [m]."""
     return list(accumulate(map(row_matrix, rows), operator.matmul))
 
 
 def row_matrix(row: Joint) -> Array:
-    """Return frame i in frame i-1 by its modified DH row i at zero reading, shape (4, 4) [m]."""
+    """Return frame i in frame i-1 by its modified DH row i at variable 0, shape (4, 4) [m]."""
     return np.array(
         rot_x(row.alpha)
         @ translate(row.a, 0, 0)
@@ -104,7 +103,7 @@ def row_matrix(row: Joint) -> Array:
 def _perpendicular_x(R: Array, z: Array) -> Array:
     """Return the unit vector along the x axis of R projected perpendicular to z, shape (3,).
 
-    Where x is within 30 deg of z, the y axis of R is projected instead.
+    Where x is within 30 deg of z or -z, the y axis of R is projected instead.
     """
     x = R[:, 0] if abs(R[:, 0] @ z) < np.sqrt(0.75) else R[:, 1]
     x = x - (x @ z) * z
@@ -114,6 +113,7 @@ def _perpendicular_x(R: Array, z: Array) -> Array:
 def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     """Return row and next row by the common normal of the row's z axis and the next joint's axis.
 
+    The row gets theta and d; the next row is new and has alpha and a.
     p, z : point [m] and unit direction of that axis in the row's frame, shape (3,) each
     """
     sine, cosine = np.hypot(z[0], z[1]), z[2]
@@ -133,8 +133,8 @@ def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
 def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
     """Return row and next row for a next axis nearly parallel to the row's z axis (Hayati's form).
 
-    The next frame's origin is where that axis meets the x-y plane.
-
+    The next frame's origin is where that axis meets the row's x-y plane. The row gets theta, zero
+    for axes that meet there; the next row is new and has alpha, a and beta.
     p, z : point [m] and unit direction of that axis in the row's frame, shape (3,) each
     """
     meeting = p - (p[2] / z[2]) * z
@@ -150,5 +150,5 @@ def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
 
 
 def _without_rounding(value: float) -> float:
-    """Return the value, or zero where it is a rounding error."""
+    """Return the value, or zero where its magnitude is below `ROUNDING_TOLERANCE`."""
     return 0.0 if abs(value) < ROUNDING_TOLERANCE else float(value)

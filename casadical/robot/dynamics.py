@@ -1,6 +1,6 @@
 """Inverse dynamics of a robot and its regressor, tau = Y(q, v, a) pi, by Newton-Euler recursion.
 
-Y is linear in ten numbers of each link (Atkeson, An and Hollerbach 1986): mass, first moment and
+tau is linear in ten numbers of each link (Atkeson, An and Hollerbach 1986): mass, first moment and
 inertia about the origin of its frame, and in the rotor inertia of each drive. Physical bodies are
 those whose pseudo-inertia is positive definite (Wensing, Kim and Slotine 2018); `Dynamics.at` leads
 to no others (log-Cholesky, Rucker and Wensing 2022).
@@ -21,7 +21,7 @@ from casadical.robot.model import Structure, base_frame, gravity_in_base
 from casadical.robot.robot import Robot
 
 # Coupling of each joint to other joints, None for one that moves by itself. Only dynamics use it:
-# for poses all readings are given.
+# for poses all joint variables are given.
 Couplings = tuple[Coupling | None, ...]
 # Prior standard deviation of the logarithm of a link's declared moment of inertia.
 INERTIA_LOG_SIGMA = 0.3
@@ -29,7 +29,7 @@ INERTIA_LOG_SIGMA = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Inverse dynamics of a robot; one without masses gets estimates from its reach.
+    """Inverse dynamics of a robot; if no link has a mass, all are estimated from its reach.
 
     given : the robot, whose geometry counts, while effects and compliance do not
     """
@@ -38,7 +38,7 @@ class Dynamics:
 
     @cached_property
     def robot(self) -> Robot:
-        """Return the given robot without effects, with masses estimated from it if it has none."""
+        """Return the given robot without effects, with link masses estimated if it has none."""
         bare = self.given.with_only(())
         return with_estimated_masses(bare) if lacks_masses(bare) else bare
 
@@ -48,16 +48,14 @@ class Dynamics:
 
         m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg].
         """
-        # Names of a link's ten inertial parameters: mass [kg], first moments [kg m] and inertia
-        # about the
-        # origin of the link's frame [kg m^2].
+        # Mass [kg], first moments [kg m], inertia about the origin of the link's frame [kg m^2].
         body_parameters = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
         links = tuple(f"{name}{i}" for i in self.robot.numbers for name in body_parameters)
         return (*links, *(f"Ia{i}" for i in self.robot.numbers))
 
     @cached_property
     def values(self) -> Array:
-        """Return the parameters pi by the robot file, shape (11 n,) [SI].
+        """Return the nominal parameters pi, declared or else estimated, shape (11 n,) [SI].
 
         The declared payload is part of the last link.
         """
@@ -74,7 +72,7 @@ class Dynamics:
 
     @cached_property
     def gravity(self) -> Array:
-        """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
+        """Return gravity in the nominal base frame, (3,) [m/s^2]; the declared vector if logged."""
         T_M0 = base_frame(self.robot, dict.fromkeys(self.robot.parameters.names, 0.0), ca.DM(self.robot.base.T))
         frame = self.robot.gravity_frame
         vector = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, T_M0, {})).full()
@@ -85,13 +83,14 @@ class Dynamics:
 
         It is large for many thousand states: evaluate them in parts.
 
-        q, v, a : readings, velocities, accelerations, each (N, n) [rad or m, per s, per s^2]
+        q, v, a : joint variables (those of coupled joints are ignored), velocities, accelerations,
+            each (N, n) [rad or m, per s, per s^2]
         """
         (Y,) = self._evaluated("regressor", q, v, a, np.zeros(0), self.gravity)
         return Y.T.reshape(len(q), len(self.names), self.robot.n).transpose(0, 2, 1)
 
     def torque(self, q: Array, v: Array, a: Array, pi: Array | None = None, gravity: Array | None = None) -> Array:
-        """Return the joint torques tau, shape (N, n) [N m or N].
+        """Return the torques tau of the drives against inertia and weight, (N, n) [N m or N].
 
         q, v, a : as of `regressor`; pi : inertial parameters, shape (11 n,) [SI], by default
             `values`
@@ -101,7 +100,7 @@ class Dynamics:
         return self._evaluated("torque", q, v, a, self.values if pi is None else pi, g)[0].T
 
     def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array) -> list[Array]:
-        """Return the outputs of a mapped function at N states, which are the last axis.
+        """Return the one output of a function at N states, in a list, states side by side.
 
         what : "regressor" or "torque"; q, v, a : shape (N, n) each; pi : empty for the regressor
         gravity : in the base frame, shape (3,) [m/s^2]
@@ -118,7 +117,7 @@ class Dynamics:
     def function(self) -> ca.Function:
         """Return the CasADi function inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N].
 
-        q, v, a : readings, velocities and accelerations; pi : inertial parameters (see `names`)
+        q, v, a : as of `regressor`; pi : inertial parameters (see `names`)
         """
         point, geometry, gravity, Y = _expressions(self.robot.structure, self._couplings)
         pi = ca.SX.sym("pi", len(self.names))
@@ -132,7 +131,7 @@ class Dynamics:
     def rotors(self) -> Array:
         """Inertia of each drive's rotor seen at the joint, shape (n,) [kg m^2 or kg].
 
-        It is the declared one, or estimated from the links' inertias.
+        It is the declared one, or else a share of the links' inertia at the joint in mid range.
         """
         drive = self.robot.drive
         if drive and (stated := drive.inertia_at_joint(self.robot.n)) is not None:
@@ -149,7 +148,7 @@ class Dynamics:
     def sigma(self) -> Array:
         """Prior standard deviation of each coordinate of `at`, shape (11 n,) [1 or m].
 
-        It follows from the robot file: whether inertias are declared, and its widths of bodies.
+        It follows from whether inertias are declared, and from the robot's `body_width`.
         """
         width, drive = self.robot.body_width, self.robot.drive
         sigma = []
@@ -168,7 +167,7 @@ class Dynamics:
     def at(self, coordinates: Array) -> Array:
         """Return physical parameters pi, shape (11 n,) [SI], for any coordinates, shape (11 n,).
 
-        Zero gives those of the robot file. The coordinates are ten for each link (see
+        Zero gives `values`. The coordinates are ten for each link (see
         `_deformed_numbers`), then the logarithm of each rotor inertia over its nominal value.
         """
         n = self.robot.n
@@ -213,7 +212,8 @@ def body_numbers(body: Body) -> Array:
 def _deformed_numbers(body: Body, coordinates: Array) -> Array:
     """Return the inertial parameters, shape (10,) as of `body_numbers`, of a deformed body.
 
-    The deformation is an affine map of its density, so that the result is a physical body.
+    The deformation is an affine map of its density, so that the result is a physical body. An
+    unknown inertia is estimated first (`likely_inertia`).
 
     coordinates : half the logarithm of the factor on its mass, shift of the centre [m], logarithms
         of three stretches, three shears; shape (10,), zero leaves the body unchanged
@@ -275,7 +275,7 @@ def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Sy
 
     frames : of each link in the previous one, shape (4, 4) [m]; sliding : whether each joint is
         prismatic
-    moved : joint variables and their first and second time derivatives, shape (n,) each
+    moved : the rows' variables and their first and second time derivatives, shape (n,) each
     gravity : in the base frame, shape (3,) [m/s^2]
     """
     n, z = len(frames), ca.DM([0, 0, 1])
@@ -304,9 +304,6 @@ def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Sy
 
 
 def _moments(w: Symbolic) -> Symbolic:
-    """Return the matrix, shape (3, 6), whose product with Ixx, Ixy, Ixz, Iyy, Iyz, Izz is I w.
-
-    w : vector, shape (3,)
-    """
+    """Return the matrix, (3, 6), whose product with Ixx, Ixy, Ixz, Iyy, Iyz, Izz is I w, w (3,)."""
     x, y, z = ca.vertsplit(w)
     return ca.blockcat([[x, y, z, 0, 0, 0], [0, x, 0, y, z, 0], [0, 0, x, 0, y, z]])

@@ -1,7 +1,7 @@
 """Tables of effects and knowledge in files: [[effect]], [learnt], [[covariance]], [remaining].
 
-They belong to robot files of version 2; values are in SI. Effect files have the first three alone,
-to be put into any robot or to be a candidate.
+They belong to robot files of version 2; values are in SI, ranges of joints in deg and mm. Effect
+files have the first three alone, to be put into any robot or to be a candidate.
 """
 
 import io
@@ -27,11 +27,11 @@ from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
 from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, RemainingErrors, Robot
 
-# Number of significant digits of a covariance in a file: enough for correlations of 1 - 1e-9, with
-# a quarter less text than all digits.
+# Number of significant digits of a covariance, and of a factor in [remaining], as text in a file:
+# enough for correlations of 1 - 1e-9, with a quarter less text than all digits.
 COVARIANCE_DIGITS = 12
-# Number of digits of a value that a file has from the first digit of its standard error on; further
-# ones depend on the rounding of the processor.
+# Number of digits after the first digit of its standard error up to which a value is rounded in a
+# reproducible file; further ones depend on the rounding of the processor.
 REPRODUCIBLE_DIGITS = 6
 
 
@@ -55,13 +55,11 @@ class EffectTable(TomlTable):
         """Return the effect that the table describes, without its values.
 
         own : classes of effects in addition to the installed ones
-        Raises InputError: no such effect or setting, a value that it does not have, or in another
-        unit.
+        Raises InputError: no such effect, setting, or parameter, or a value in another unit.
         """
         effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
         sizes = effect.sizes()
-        # Maximum number of parameters of one effect, more than those of an error curve for each
-        # joint.
+        # Maximum number of parameters of one effect, more than an error curve has for all joints.
         max_effect_parameters = 3000
         if len(sizes) > max_effect_parameters:
             raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {max_effect_parameters}")
@@ -78,7 +76,9 @@ class EffectTable(TomlTable):
 def effects_of(
     tables: Sequence[EffectTable], definitions: Sequence[Definition], own: Sequence[type[Effect]]
 ) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
-    """Return effects, and values and standard errors of their parameters, by name [SI].
+    """Return effects, and the given values and standard errors of their parameters [SI].
+
+    Both are by full name, label.name; what a table does not give is absent.
 
     own : classes of effects in addition to the installed ones and to those that the file defines
     Raises InputError that names the key.
@@ -128,7 +128,7 @@ def _triangle_in(path: Path, name: str, count: int) -> Array:
     """Return the lower triangle of a covariance from an NPZ file, shape (count,) [SI].
 
     name : of the array, which is that of the covariance's first parameter
-    Raises InputError.
+    Raises InputError: no such file, not readable, or no such array of `count` numbers.
     """
     if not path.is_file():
         raise InputError(
@@ -157,7 +157,7 @@ class LearntTable(TomlTable):
     robots: int = Field(default=0, ge=0)
 
     def ranges(self, arm: Arm) -> Array:
-        """Return each joint's lowest and highest reading in the identified poses, (n, 2) [rad or m].
+        """Return each joint variable's range in the identified poses, shape (n, 2) [rad or m].
 
         The shape is (0, 2) if the table states none. Raises InputError for keys of other joints or
         units, and if a joint is missing.
@@ -202,9 +202,9 @@ def knowledge_of(
 ) -> Knowledge | None:
     """Return the covariances and ranges in the tables of a file, None if they are empty.
 
-    names : of the robot's parameters
+    names : of the robot's parameters, which all names in covariances must be among
     errors : parameter -> standard error given next to its value [SI]; one that is in no covariance
-        makes a block of its own
+        makes a block of its own, one in a covariance must agree with it
     folder : of the file
     Raises InputError that names the key.
     """
@@ -271,10 +271,10 @@ def text_of(
 
 
 def large_covariances(knowledge: Knowledge | None, reproducible: bool) -> bytes:
-    """Return the covariances of more than `MAX_BLOCK_PARAMETERS` parameters as an NPZ file.
+    """Return the covariances of more than `MAX_BLOCK_PARAMETERS` parameters as an NPZ file's bytes.
 
-    Each is an array of the lower triangle row by row, named by its first parameter [SI]. It is empty
-    where there is none.
+    Each is an array of the lower triangle row by row, named by its first parameter [SI]. Where
+    there is none, no bytes are returned.
 
     reproducible : as of `to_toml`
     """
@@ -299,7 +299,7 @@ def _rounded(block: Covariance, reproducible: bool) -> Array:
 
 
 def _triangle(block: Covariance, reproducible: bool) -> Iterator[list[float]]:
-    """Yield the lower triangle of a covariance, row by row, rounded as a text has it.
+    """Yield the lower triangle of a covariance [SI], row by row, rounded as a text has it.
 
     reproducible : as of `to_toml`
     """
@@ -312,9 +312,9 @@ def _triangle(block: Covariance, reproducible: bool) -> Iterator[list[float]]:
 
 
 def _sizes_and_digits(block: Covariance) -> tuple[Array, int]:
-    """Return the products of standard deviations, shape (k, k) [SI], and the digits from them on.
+    """Return products of standard deviations, (k, k) [SI], and digits after their first to keep.
 
-    Correlations need more digits than their smallest eigenvalue has zeros.
+    Correlations need more digits than their smallest eigenvalue has zeros, and get at least 6.
     """
     scale = np.sqrt(np.diag(block.matrix))
     sizes = np.outer(scale, scale)
@@ -327,7 +327,8 @@ def _effect_lines(
 ) -> Iterator[str]:
     """Yield the TOML lines of one effect's table with its values.
 
-    values, errors : parameter -> value and standard error [SI]; reproducible : as of `to_toml`
+    values, errors : parameter -> value (0 if missing) and standard error [SI]
+    reproducible : as of `to_toml`
     """
     yield from ("", "[[effect]]", *_entries(effect.to_dict()), "[effect.values]")
     for name, (_, unit) in effect.sizes().items():
@@ -397,9 +398,8 @@ class _EffectFile(DefinitionFile):
 class Effects:
     """Content of an effect file: effects and the values of their parameters.
 
-    effects : of the file; values : parameter name -> value [SI]
-    robot : name of the robot on which they were identified; kinds : classes of effects that the
-        file defines
+    effects : of the file; values : parameter name -> value [SI], as far as the file gives them
+    robot : name of the robot on which they were identified; kinds : classes that the file defines
     """
 
     effects: tuple[Effect, ...]
@@ -409,9 +409,10 @@ class Effects:
 
 
 def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effects:
-    """Read an effect file, and the effects that it defines.
+    """Read the effects and values of an effect file, and the effects that it defines.
 
-    Its formulas are parsed and never executed.
+    Its formulas are parsed and never executed; standard errors, [learnt] and [[covariance]] are not
+    returned.
 
     effects : classes of your own, as of `read_robot`
     Raises InputError that names file, key and what is allowed.
@@ -426,7 +427,7 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
 
 
 def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, reproducible: bool = False) -> str:
-    """Return some effects of a robot, with values and covariances, as the text of an effect file.
+    """Return some effects of a robot, with values and covariance, as the text of an effect file.
 
     comment : text at the head of the file; reproducible : as of `to_toml`
     """

@@ -1,10 +1,10 @@
 """The closed four-bar loop that drives a joint from a crank: closed form, feasibility margin.
 
 All bars lie in one plane, perpendicular to the axis of the joint that carries the ground bar.
-Angles count from that joint's x axis at zero reading. Ground bar, length g, from the carrying joint
-(origin) to the driven joint; crank, length L5, from the origin; coupler L4 from the crank's end to
-the rocker's end; rocker L3 from the driven joint and fixed to the driven link. With L3 = L5 and L4
-= g the loop is a parallelogram and the rocker turns with the crank (paper, eq. 3).
+Angles count from the x axis of its link at theta + q = 0. Ground bar, length g, from the carrying
+joint (origin) to the driven joint; crank, length L5, from the origin; coupler L4 from the crank's
+end to the rocker's end; rocker L3 from the driven joint and fixed to the driven link. With L3 = L5
+and L4 = g the loop is a parallelogram and the rocker turns with the crank (paper, eq. 3).
 """
 
 import casadi as ca
@@ -49,8 +49,7 @@ def rocker_angle(crank: Symbolic, ground: Symbolic, lengths: Bars, side: int) ->
 def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
     """Return the squared sine of the angle between rocker and diagonal, the margin from opening.
 
-    It is 1 where they are perpendicular, 0 at a folded position, negative where the bars cannot
-    close.
+    It is 1 where they are perpendicular, 0 at a folded position, negative for an open loop.
 
     crank, ground : angles of crank and ground bar [rad]; lengths : of the bars [m]
     """
@@ -60,7 +59,7 @@ def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
 
 
 def assembly_side(crank: float, ground: float, lengths: Bars) -> int:
-    """Return the side (+1 or -1, see `rocker_angle`) at which rocker and crank point alike.
+    """Return the side (+1 or -1, see `rocker_angle`) with the smaller angle of rocker and crank.
 
     It is that of the uncrossed assembly.
 

@@ -1,8 +1,7 @@
 """Inverse kinematics by damped Newton steps for many poses at once, for any model.
 
 The step is J^T (J J^T + lambda I)^-1 r (Levenberg and Marquardt; Nakamura and Hanafusa 1986), by
-singular values. With more joints than residuals it is the one of least norm: the elbow stays near
-its start.
+singular values. With more joints than residuals it has the least norm: the elbow stays near.
 """
 
 from collections.abc import Callable
@@ -12,7 +11,7 @@ import numpy as np
 from casadical.core.basics import Array
 
 # (joints q, shape (k, n), indices of the poses, shape (k,)) -> residuals, target minus reached,
-# shape (k, m), and Jacobians, shape (k, m, n).
+# shape (k, m), and Jacobians of what is reached, shape (k, m, n).
 Evaluate = Callable[[Array, Array], tuple[Array, Array]]
 
 
@@ -31,12 +30,12 @@ def solve_joints(
 ) -> Array:
     """Return the joints after damped Newton steps towards k poses, shape (k, n) [rad or m].
 
-    They need not reach the poses.
+    They need not reach the poses; where residual or Jacobian are not finite, no more step is taken.
 
     evaluate : residuals and Jacobians of some poses at given joints
     start : first joints, shape (k, n) [rad or m]; steps : maximum number of steps
     largest : largest change of a joint in one step [rad or m]
-    limits : lower and upper limits of the joints, shape (n,) each
+    limits : lower and upper limits of the joints, shape (n,) each [rad or m]; None: none
     coupled : function that completes joints that follow others, shape (k, n) to (k, n)
     least : share of the largest singular value of J below which a direction is omitted
     damping, of_error : lambda is damping + of_error |r|^2

@@ -18,8 +18,7 @@ from casadical.robot.parameter_list import bar_names, parameters_of
 # Name of a parameter -> its value or symbol [SI].
 Values = Mapping[str, Symbolic]
 
-# Minimum margin of a four-bar (see `fourbar.margin`, at most 1); below it the loop counts as
-# folded.
+# Minimum `fourbar.margin` (a squared sine, at most 1); below it the loop counts as folded.
 MIN_LOOP_MARGIN = 0.02
 
 
@@ -28,7 +27,7 @@ def row_elements(kind: str, i: int, names: Container[str]) -> tuple[list[tuple[b
 
     Each has whether it rotates, its axis (0 to 2), and the name of its parameter.
 
-    kind : of the row's joint; names : of all parameters
+    kind : of the row's joint; names : of all parameters, with beta and b where the row has them
     """
     about_x = (True, 0, f"alpha{i - 1}"), (False, 0, f"a{i - 1}")
     about_y = (True, 1, f"beta{i - 1}"), (False, 1, f"b{i - 1}")
@@ -71,7 +70,7 @@ def loop_angles(
 
 
 def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return the margin of every four-bar: 1 perpendicular, 0 folded (see `fourbar.margin`).
+    """Return `fourbar.margin` of every four-bar: 1 perpendicular, 0 folded, below 0 open.
 
     actuated : variables of the actuated joints, shape (n,) [rad or m]
     """
@@ -85,14 +84,14 @@ def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list
 def chain_factors(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[list[Symbolic]]:
     """Return for each row the elementary transforms whose product it is.
 
-    actuated : joint variables, readings with all that is added to them, n of them [rad or m]
+    actuated : actuated joint variables with all that is added to them, n of them [rad or m]
     """
     own = own_variables(arm, actuated, values)
     return [row_factors(arm, i, own[i - 1], values) for i in range(1, arm.n + 1)]
 
 
 def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, ...]:
-    """Return T_01..T_0n, frames of the links in the robot's base frame, each (4, 4).
+    """Return T_01..T_0n, frames of the links in the robot's base frame, each (4, 4) [m].
 
     actuated : as of `chain_factors`
     """
@@ -133,15 +132,15 @@ def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, valu
     """
     loop = arm.loops[k - 1]
     rocker = fourbar.rocker_angle(*angles, loop_bars(arm, k, values), side)
-    # theta of the driven row rotates the crank, not the link: as row_factors adds it, it is
-    # subtracted here.
+    # theta of the driven row rotates the crank, not the link: row_factors adds it again.
     return rocker - angles[1] + loop.offset - values[f"theta{loop.driven}"]
 
 
 def assembly_sides(arm: Arm) -> dict[int, int]:
     """Return the side (+1 or -1) of each loop's uncrossed assembly, by number of the loop from 1.
 
-    It is decided at mid range of the joints. Raises InputError where the loop cannot close there.
+    It is decided at mid range of the joints with nominal bars. Raises InputError where a loop has
+    less than `MIN_LOOP_MARGIN` there.
     """
     if not arm.loops:
         return {}
@@ -167,7 +166,7 @@ def gravity_energy(arm: Arm, frames: Sequence[Symbolic], gravity: Symbolic, payl
     """Return the potential energy [J] of all links' bodies and of the payload.
 
     frames : T_01..T_0n in the robot's base frame; gravity : shape (3,) [m/s^2] in the same frame
-    payload_kg : mass on the flange at this pose, its mass centre as declared
+    payload_kg : mass on the flange at this pose, its centre as declared; ignored without payload
     """
     loads = [(j.body.mass, j.body.com, T) for j, T in zip(arm.joints, frames, strict=True) if j.body]
     if arm.payload:

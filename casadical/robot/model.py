@@ -27,7 +27,7 @@ from casadical.robot.rigid_chain import rigid_chain
 class Expressions:
     """Symbols and expressions that all robots of one structure share; see `Model`.
 
-    q, w, phi : symbols of the readings (n,), the conditions (k,) and the parameters (P,)
+    q, w, phi : symbols of the joint variables (n,), the conditions (k,) and the parameters (P,)
     constants : symbols of numbers that are no parameters and differ between robots of one structure
         (see `constants_of`)
     loaded : symbols of the parameters at which gravity torques are evaluated, shape (P,), separate
@@ -80,13 +80,12 @@ class Model:
     """The symbolic model of one robot, from which functions are made.
 
     arm : the robot's parts
-    q : joint readings (n,) [rad or m]; w : conditions (k,), the logged columns that it uses; phi :
+    q : joint variables (n,) [rad or m]; w : conditions (k,), the logged columns that it uses; phi :
         parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
     tau : gravity torques (n,) [N m or N]; margin : of each four-bar (see `fourbar.margin`)
     declared : values of the conditions where nothing was logged, shape (k,)
-    constants : numbers that are no parameters, see `constants_of`
-    structure : of the robot
+    constants : numbers that are no parameters, see `constants_of`; structure : of the robot
     """
 
     arm: Arm
@@ -101,7 +100,7 @@ class Model:
 
     @property
     def q(self) -> ca.SX:
-        """Symbol of the joint readings, shape (n,) [rad or m]."""
+        """Return the symbol of the actuated joint variables, shape (n,) [rad or m]."""
         return self.shared.q
 
     @property
@@ -136,7 +135,7 @@ class Model:
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """Return the CasADi function name:(q, w, phi)->outputs.
 
-        Its arguments are readings [rad or m], conditions [their own units] and parameters [SI].
+        Its arguments are joint variables [rad or m], conditions [own units] and parameters [SI].
 
         name : of the function; outputs : names out of p, R, tau and margin
         """
@@ -157,8 +156,8 @@ class Model:
 
         The shapes are (3, n) for p, (3, 3 n) for R, (joints, n) for tau, (loops, n) for margin.
 
-        q : readings, shape (n, joints) [rad or m]; w : conditions, shape (n, k); phi : parameters,
-            shape (P,) [SI]
+        q : joint variables, shape (n, joints) [rad or m]; w : conditions, shape (n, k)
+        phi : parameters, shape (P,) [SI]
         """
         if set(outputs) <= {"p", "R"} and is_rigid(self.structure, phi):
             kinds = tuple(joint.kind for joint in self.arm.joints)
@@ -184,8 +183,8 @@ def constants_of(arm: Arm, torque_scale: Array) -> Array:
 class Structure:
     """The parts of which a model is composed.
 
-    Robots with the same parts are equal, even if they differ in numbers that enter as parameters or
-    constants.
+    Structures of robots with the same parts are equal, even if the robots differ in numbers that
+    enter as parameters or constants.
 
     arm, parameters, effects : of a robot with this structure
     conditions : names of the logged columns that it uses
@@ -229,9 +228,10 @@ class Structure:
 
 
 def is_rigid(structure: Structure, phi: Array, chosen: Iterable[int] = ()) -> bool:
-    """Return whether a robot is a `RigidChain`, without any deflection.
+    """Return whether a robot is a `RigidChain`: no loops, targets, effects or deflections.
 
-    phi : values of its parameters, shape (P,) [SI]; chosen : indices of those that may change
+    phi : values of its parameters, shape (P,) [SI]
+    chosen : indices of parameters that may change; with a compliance among them it is False
     """
     arm = structure.arm
     if arm.loops or arm.targets or structure.effects:
@@ -244,9 +244,9 @@ def is_rigid(structure: Structure, phi: Array, chosen: Iterable[int] = ()) -> bo
 def expressions(structure: Structure, fixed_loads: bool) -> Expressions:
     """Return the expressions of a structure, composed once for all robots that share it.
 
-    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last
-        link also carries its load farther out; the masses are too uncertain to distinguish
-        the link from the tool by that.
+    fixed_loads : whether gravity torques are at the separate symbols `loaded`, for the nominal
+        geometry, not at phi. Strictly, a longer last link also carries its load farther out; the
+        masses are too uncertain to distinguish the link from the tool by that.
     """
     arm, effects, names = structure.arm, structure.effects, structure.parameters.names
     q = ca.SX.sym("q", arm.n)
@@ -282,7 +282,7 @@ def rigid_context(
     """Return the context of effects with link frames of rigid joints, without torques.
 
     torque_scale : peak gravity torque of each joint, shape (n,) [N m or N]
-    q : readings; conditions : logged column -> symbol; values : parameter -> symbol [SI]
+    q : joint variables; conditions : logged column -> symbol; values : parameter -> symbol [SI]
     base : nominal T_M0, shape (4, 4) [m]
     """
     gravity = gravity_in_base(arm, base_frame(arm, values, base), conditions)
@@ -318,7 +318,8 @@ def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
 def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:
     """Return the transforms whose product is T_0E, the tool frame in the robot's base frame.
 
-    Readings, effects and deflections act through the chain, then come flange and tool.
+    They are those of effects at the base, of each row, whose variable has deflections and effects
+    added, with effects at its link, of effects at the tool, and of the tool itself.
 
     nominal : constant part of the tool frame in the flange frame, shape (4, 4) [m]
     """
@@ -335,8 +336,7 @@ def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: 
 def _tool(arm: Arm, nominal: Symbolic, values: kinematics.Values, conditions: Mapping[str, Symbolic]) -> list[Symbolic]:
     """Return the transforms whose product is the tool frame in the flange frame.
 
-    Its origin is the measured point; of several targets it is the one that the pose's logged
-    columns name.
+    Its origin is the measured point; of several it is the one that the pose's logged columns name.
 
     nominal : of the first tool in the flange frame, shape (4, 4) [m]
     """

@@ -27,7 +27,7 @@ def parameters_of(
 ) -> Iterable[Parameter]:
     """Yield all parameters of a robot's model, in the order in which identifiability prefers them.
 
-    That is base and tool, DH rows, loops, compliances, effects.
+    That is base, tool and targets, sessions, DH rows, loops, compliances, other effects.
 
     effect_values : name of an effect's parameter -> value [SI], by default its own
     """
@@ -79,7 +79,7 @@ def _length_or_angle(arm: Arm, name: str, group: str, unit: str, value: float, f
 
 
 def _row_parameters(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
-    """Yield the DH parameters of row i (1-based), with the reason where one is fixed."""
+    """Yield the DH parameters of row i (1-based), with a reason where d is fixed."""
     # A first row with all six numbers is the base frame itself, as in the paper's Table 1.
     group = "base" if i == 1 and joint.b is not None else "geometry"
     yield _length_or_angle(arm, f"alpha{i - 1}", group, "rad", joint.alpha)
@@ -125,7 +125,9 @@ def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
 
 
 def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:
-    """Return the compliance parameter of joint i (1-based), scaled by the joint's largest load.
+    """Return the compliance parameter of joint i (1-based), with prior and bounds by its peak load.
+
+    They are those of the deflection under that load, divided by it.
 
     value : nominal compliance [rad/(N m) or m/N]
     """
@@ -139,8 +141,7 @@ def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:
     lever = max(0.5 * reach, 0.05) if rotary else 1.0
     load = max(mass * float(np.linalg.norm(arm.gravity)) * lever, 1e-3)  # [N m] or [N]
     unit = "rad/(N m)" if rotary else "m/N"
-    # With estimated masses the data determine only their product with the compliance, so that both
-    # have priors.
+    # With estimated masses the data determine only their product with compliance: both are guesses.
     guess = arm.masses == "estimated"
     return Parameter(
         f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load, guess=guess

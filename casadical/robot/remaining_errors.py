@@ -9,9 +9,9 @@ from casadical.robot.robot import RemainingErrors, Robot
 def with_joint_harmonics(robot: Robot, orders: int = 1) -> Robot:
     """Return the robot with one added effect: harmonics of each revolute joint's error, all zero.
 
-    Joint error curves that it had are removed.
+    Joint error curves that it had, and its remaining errors with them, are removed.
 
-    orders : highest harmonic; their prior standard deviation is TYPICAL_HARMONIC_RAD
+    orders : highest harmonic; their prior standard deviation is TYPICAL_HARMONIC_RAD [rad]
     """
     spread = tuple(TYPICAL_HARMONIC_RAD * (j in robot.revolute) for j in robot.numbers)
     bare = robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
@@ -19,10 +19,7 @@ def with_joint_harmonics(robot: Robot, orders: int = 1) -> Robot:
 
 
 def refuse_other(robot: Robot, remaining: RemainingErrors) -> None:
-    """Refuse remaining errors with parameters that the robot lacks: they are of another robot.
-
-    Raises InputError.
-    """
+    """Refuse remaining errors with parameters that the robot lacks. Raises InputError."""
     allowed = with_joint_harmonics(robot).parameters.names
     for name in remaining.names:
         if name not in allowed:

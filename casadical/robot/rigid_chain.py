@@ -24,7 +24,7 @@ class RigidChain:
     """
 
     def __init__(self, kinds: tuple[str, ...], names: tuple[str, ...], chosen: tuple[int, ...] = ()) -> None:
-        """List the elementary transforms, whose last one up to a joint has the joint's variable."""
+        """List the elementary transforms in parts; all but the last two end with a joint's."""
         base, tool = (
             [(k > 2, k % 3, name) for k, name in enumerate(PLACEMENT_PARAMETERS[which])] for which in ("base", "tool")
         )
@@ -57,10 +57,11 @@ class RigidChain:
     ) -> tuple[Array, Array, Array]:
         """Return positions (3, n) [m], axes of the tool frame (3, 3, n), and the Jacobian.
 
-        Each axis of the frame has three numbers in the measuring frame. The Jacobian of the
-        position by the chosen parameters has shape (chosen, n, 3), or (0, n, 3) without `scale`.
+        Of the axes the first index is that of the axis, the second of its coordinate in the
+        measuring frame. The Jacobian of the position by the chosen parameters, shape (chosen, n, 3)
+        [m per SI unit, times the factors], is empty, (0, n, 3), without `scale`.
 
-        q : readings, shape (joints, n) [rad or m]; phi : parameters, shape (P,) [SI]
+        q : joint variables, shape (joints, n) [rad or m]; phi : parameters, shape (P,) [SI]
         constants : of the model (see `constants_of`)
         scale, weight : factors of each parameter, (chosen,), and pose, (n,), on the Jacobian
         """
@@ -120,7 +121,7 @@ class RigidChain:
         return p, (np.array(R) @ F.reshape(3, -1)).reshape(3, 3, -1), J
 
 
-# Return the `RigidChain` for the same arguments; they are cached, because many robots share one.
+# A function of the arguments of `RigidChain` that returns one, cached: many robots share it.
 rigid_chain = lru_cache(maxsize=64)(RigidChain)
 
 

@@ -2,9 +2,10 @@
 
 A robot has modified DH rows (Craig) with Hayati's beta, loops, bodies, frames and compliances. Row
 i places frame i in frame i-1: Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta + q)
-Trans_z(d). `beta` exists where neighbouring axes are nearly parallel (Hayati and Mirmirani 1985),
-`b` only in the first row, where the six numbers together place the robot in the measuring frame
-(paper, Table 1). Knowledge means covariances, the range of the data, and the remaining errors.
+Trans_z(d), or with d + q for a prismatic joint. `beta` exists where neighbouring axes are nearly
+parallel (Hayati and Mirmirani 1985), `b` only in the first row, where the six numbers together
+place the robot in the measuring frame (paper, Table 1). Knowledge means covariances, the range of
+the data, and the remaining errors.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class Covariance:
     """Covariance of some parameters, which are uncorrelated with all others.
 
     names : of the parameters; matrix : shape (k, k) [SI]
-    Raises InputError for a matrix that is not symmetric and positive semidefinite.
+    Raises InputError for a matrix of another shape, or that is not finite, symmetric and positive
+    semidefinite, and for a name that occurs twice.
     """
 
     names: tuple[str, ...]
@@ -58,8 +60,7 @@ class Covariance:
                 raise InputError(f"{some}: the variance of {name} is {variance:.6g}; it must be zero or more")
         scale = np.sqrt(np.diag(C))
         correlation = C / np.outer(*[np.where(scale > 0, scale, 1.0)] * 2)
-        # A smallest eigenvalue of a correlation matrix above minus this, times its size, counts as
-        # zero.
+        # A smallest eigenvalue of a correlation matrix above minus this, times its size, is zero.
         eigenvalue_tolerance = 1e-9
         if not np.allclose(correlation, correlation.T, rtol=0, atol=eigenvalue_tolerance):
             raise InputError(f"{some}: it is not symmetric")
@@ -87,8 +88,8 @@ class Knowledge:
 
     covariance : blocks, which share no parameter
     campaign : names of the measurements' tables; poses : number of poses used
-    readings : lowest and highest reading of each joint, shape (n, 2) [rad or m]; shape (0, 2) where
-        it is unknown
+    readings : lowest and highest joint variable of each joint, shape (n, 2) [rad or m]; shape
+        (0, 2) where it is unknown
     conditions : logged or derived column -> lowest and highest value [its unit]
     misfit : factor on the variances for a comparison with another campaign (see
         `casadical.identification.misfit`)
@@ -134,7 +135,8 @@ class Knowledge:
     def joined(self, later: Knowledge) -> Knowledge:
         """Return the knowledge with a later campaign's covariance and the ranges of both campaigns.
 
-        Where one of the two has no ranges of readings, it is the later campaign's.
+        Poses are added up; misfit and robots are 1 and 0. Where one of the two has no ranges of
+        readings, `later` is returned.
         """
         if not (len(self.readings) and len(later.readings)):
             return later
@@ -157,8 +159,8 @@ class RemainingErrors:
     rest : root mean square distance that no parameter explains [m]
     poses : number of poses from which they were estimated
 
-    Raises InputError for numbers that are not finite, sizes that are not positive, and shapes that
-    do not fit.
+    Raises InputError for numbers that are not finite, a rest that is not positive, and a factor
+    without a row for each name.
     """
 
     names: tuple[str, ...]
@@ -176,10 +178,10 @@ class RemainingErrors:
 
 
 def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[Covariance, ...]:
-    """Return a covariance matrix as one block, or as one block per owner if it is large.
+    """Return a covariance matrix as one block, or, if it is large, as one block per owner.
 
-    Correlations between blocks are dropped. A parameter without a variance (NaN, as at a bound) is
-    omitted.
+    Large is more than `MAX_BLOCK_PARAMETERS`; correlations between blocks are dropped. A parameter
+    without a variance (NaN, as at a bound) is omitted.
 
     names : of the k parameters; owners : label of each one's effect, or "" for the base model
     matrix : shape (k, k) [SI]
@@ -212,14 +214,15 @@ class Robot(Shown, Arm):
     tool_name : name of the measured point, where there are several; targets : further measured
         points on the flange
     masses : "declared", or "estimated" where the links' masses determine no stiffness
-    drive : data of the drives; sessions : what sessions of a campaign share
+    drive : data of the drives; sessions : which parameters each session of a campaign has anew
     effects : error sources added to the base model, see `with_effect`; effect_values : parameter
         name -> value [SI] of those
     notes : sentences that a reader of results must know (assumed masses, sources)
     knowledge : covariance of the values, and the ranges on which they were identified; None:
         unknown
     remaining : position errors that the calibrated model still has; None: unknown
-    Raises InputError: parts that do not fit each other, with the joint and the value.
+    q of its functions are the rows' joint variables; a controller's readings may differ (see
+    `Arm.variables_of`). Raises InputError: parts that do not fit each other, with joint and value.
 
     Examples
     --------
@@ -256,7 +259,7 @@ class Robot(Shown, Arm):
             effect.refuse_joints(self)
 
     def _repr_html_(self) -> str:
-        """Return the DH table with the limits of each joint, for a notebook."""
+        """Return the DH table with each joint's limits [deg or mm], and the notes, as HTML."""
         rows = []
         for i, (joint, (key, factor)) in enumerate(zip(self.joints, self.reading_units.items(), strict=True), 1):
             numbers = ("" if v is None else f"{v:.3f}" for v in dh_row(joint).values())
@@ -268,7 +271,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
-        """Return the names of the logged columns that the model uses, besides the joint readings."""
+        """Return the names of the logged columns that the model uses, besides the joints' own."""
         tilting = GRAVITY_COLUMNS if self.gravity_frame == "logged" else ()
         own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets), *tilting)
         return tuple(dict.fromkeys((*own, *(c for e in self.effects for c in e.conditions))))
@@ -277,8 +280,8 @@ class Robot(Shown, Arm):
     def declared(self) -> Array:
         """Return the values of `conditions` where nothing was logged, shape (k,) [each in its column's unit].
 
-        Payload and gravity are the declared ones; progress is 1, as at the end of the campaign; all
-        else is zero, which for several tools means the first.
+        Payload [kg] and direction of gravity (unit vector) are the declared ones; progress is 1, as
+        at the end of the campaign; all else is zero, which for several tools means the first.
         """
         values = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
         size = max(float(np.linalg.norm(self.gravity)), 1e-9)
@@ -287,7 +290,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def parameters(self) -> Parameters:
-        """Every parameter of the model, with its nominal value, bounds and prior."""
+        """Return every parameter of the model, with its nominal value, bounds and prior."""
         return Parameters(parameters_of(self, self.effects, self.effect_values))
 
     @property
@@ -303,11 +306,11 @@ class Robot(Shown, Arm):
     def torque_scale(self) -> Array:
         """Return the peak gravity torque of each joint, shape (n,) [N m or N].
 
-        It is the 95 % quantile over the joints' range with full payload, and at least a twentieth
-        of the largest of joints of the same kind, revolute or prismatic: a gear with a vertical
-        axis is made for the forces of motion. Where all axes are vertical, or all strokes level,
-        the largest is a twentieth of the weight they move, turned at the arm's reach: a slightly
-        tilted base loads them.
+        It is the 95 % quantile of its magnitude over random poses within the limits, with the
+        declared payload and without effects, and at least a twentieth of the largest of joints of
+        the same kind, revolute or prismatic: a gear with a vertical axis is made for the forces of
+        motion. The largest counts as at least a twentieth of the moved weight (times the reach, if
+        revolute): a slightly tilted base loads vertical axes and level strokes.
         """
         lower, upper = self.limits
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
@@ -322,20 +325,18 @@ class Robot(Shown, Arm):
         return great
 
     def loads(self, q: Array, conditions: Mapping[str, Array]) -> Array:
-        """Return gravity torques at n poses as shares of `torque_scale`, shape (n, joints).
+        """Return signed gravity torques at n poses, divided by `torque_scale`, (n, joints).
 
         Effects are omitted.
 
-        q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as
-            declared
+        q : joint variables, (n, joints) [rad or m]; conditions : logged columns, else declared ones
         """
         return np.asarray(self._bare_torques(q, conditions).T / self.torque_scale)
 
     def _bare_torques(self, q: Array, conditions: Mapping[str, Array]) -> Array:
         """Return gravity torques of the model without effects, shape (joints, n) [N m or N].
 
-        q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as
-            declared
+        q, conditions : as of `loads`
         """
         bare = self.with_only(())
         w = np.tile(bare.declared, (len(q), 1))
@@ -355,14 +356,15 @@ class Robot(Shown, Arm):
 
     @cached_property
     def constants(self) -> Array:
-        """Return the constants of the model, shape (24 + n,) (see `constants_of`)."""
+        """Return `constants_of` the model, (24 + n,); torque scales are zero without effects."""
         return constants_of(self, self.torque_scale if self.effects else np.zeros(self.n))
 
     @cached_property
     def position(self) -> ca.Function:
         """Return the CasADi function (q[n], phi)->p[3], the measured point [m] in the measuring frame.
 
-        q are readings [rad or m], phi the parameters [SI]; the payload is the declared one.
+        q are joint variables [rad or m], phi the parameters [SI]; the payload, and every other
+        condition, has its declared value.
         """
         return self.model.at_declared("position", ("p",))
 
@@ -370,7 +372,7 @@ class Robot(Shown, Arm):
     def pose(self) -> ca.Function:
         """Return the CasADi function (q[n], phi)->(p[3], R[3x3]), the tool frame [m] in the measuring frame.
 
-        Arguments and payload are as of `position`.
+        Arguments and conditions are as of `position`.
         """
         return self.model.at_declared("pose", ("p", "R"))
 
@@ -378,7 +380,7 @@ class Robot(Shown, Arm):
     def torque(self) -> ca.Function:
         """Return the CasADi function (q[n], phi)->tau[n], gravity torques of actuated joints [N m or N].
 
-        Arguments and payload are as of `position`.
+        Arguments and conditions are as of `position`.
         """
         return self.model.at_declared("torque", ("tau",))
 
@@ -388,7 +390,7 @@ class Robot(Shown, Arm):
 
     @property
     def effects_in_words(self) -> str:
-        """Return the labels of all effects with their values and units as text; empty without effects."""
+        """Return the labels of all effects, each with up to six values and units; "" for none."""
         texts = []
         for effect in self.effects:
             sizes, values = effect.sizes(), effect.own_values(self.effect_values)
@@ -399,7 +401,7 @@ class Robot(Shown, Arm):
     def with_only(self, effects: Iterable[Effect]) -> Robot:
         """Return a robot with only these of its effects in the model.
 
-        Values, covariances and remaining errors of the removed ones are dropped.
+        Values and covariances of the removed ones are dropped, and all remaining errors with them.
         """
         chosen = tuple(effects)
         gone = {p.name for e in self.effects if e not in chosen for p in e.parameters()}
@@ -410,16 +412,17 @@ class Robot(Shown, Arm):
 
     @property
     def rigid(self) -> Robot:
-        """Return the robot with rigid joints, and without knowledge of its accuracy."""
+        """Return the robot without compliances and `knowledge`; effects and `remaining` stay."""
         joints = tuple(replace(j, compliance=None) for j in self.joints)
         return replace(self, joints=joints, knowledge=None)
 
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """Return a robot with other nominal values, by parameter name [SI].
 
-        It has no knowledge of the accuracy of the new values.
+        Its `knowledge` and `remaining` are None. Values of the base move its nominal frame, whose
+        parameters are then zero again; so do rotations of the tool.
 
-        Raises InputError: no such parameter, or a value that is not finite.
+        Raises InputError: no such parameter, or a value of a joint that is not finite.
         """
         for name in values:
             self.parameters.index_of(name)
@@ -479,7 +482,7 @@ def in_file_units(part: object, **units: str) -> dict[str, float | None]:
 def dh_row(joint: Joint) -> dict[str, float | None]:
     """Return a modified DH row by the keys alpha_deg, a_mm, beta_deg, b_mm, theta_deg, d_mm.
 
-    A value is None where the row has no beta or b.
+    The value is None for a beta or b that the row has not.
     """
     return in_file_units(joint, alpha="deg", a="mm", beta="deg", b="mm", theta="deg", d="mm")
 

@@ -29,8 +29,7 @@ def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
 
     effects : classes of your own, besides those that are installed (see
         `casadical.effects.plugins`); a file runs no other code
-    Raises InputError: a file that is no robot; it names the file, the key, the value and what is
-    allowed.
+    Raises InputError: a file that is no robot; it names the file, the key and what is allowed.
 
     Examples
     --------
@@ -80,7 +79,8 @@ def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
 
     What is unknown of them is what was unknown of the tool, unless the first declares it.
 
-    tools : points and frames in the frame of the robot's present tool
+    tools : at least one, in the frame of the robot's present tool; only the first one's orientation
+        is used
     Raises InputError for targets that do not fit each other.
     """
     first, *further = tools
@@ -93,6 +93,8 @@ def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
 
 def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:
     """Write a robot as TOML that `read_robot` reads; the file appears complete or not at all.
+
+    Large covariances are in a second file next to it (see `robot_files`).
 
     path : file to write; an existing one is replaced
     comment : text of the comment at the file's head
@@ -113,7 +115,7 @@ def robot_files(
 ) -> dict[Path, str | bytes]:
     """Return the content of the robot's file by its path, and of the file of its large covariances.
 
-    That of arm.robot.toml is arm.covariance.npz.
+    That of arm.robot.toml is arm.covariance.npz; it is absent where no covariance is large.
 
     path : of the robot file; further arguments, and Raises InputError : as of `to_toml`
     """
@@ -131,10 +133,11 @@ def to_toml(
     reproducible: bool = False,
     companion: str = "",
 ) -> str:
-    """Return the robot as the text of a TOML file, at full precision.
+    """Return the robot as the text of a TOML file.
 
-    Units are mm and degrees, of effects SI. Sessions belong to their measurements: base and tool
-    are those of the first one. Without effects and knowledge the file is version 1.
+    Numbers have full precision, those of covariances and remaining errors 12 digits. Units are mm
+    and degrees, of effects SI. Sessions belong to their measurements: base and tool are those of
+    the first one. Without effects, knowledge and remaining errors it is version 1.
 
     comment, effects, and Raises InputError : as of `write_robot`
     reproducible : whether digits are omitted that depend on a processor's rounding, so that a
@@ -189,10 +192,7 @@ def to_toml(
 
 
 def _as_written(robot: Robot) -> Robot:
-    """Return the robot without the effects and covariances that a file has not.
-
-    These are sessions, and covariances of parameters that the robot no longer has.
-    """
+    """Return the robot without sessions and without covariances of parameters that it lacks."""
     if any(isinstance(e, Session) for e in robot.effects):
         robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
     knowledge = robot.knowledge
@@ -201,7 +201,7 @@ def _as_written(robot: Robot) -> Robot:
 
 
 def _without_rounding_digits(key: str, value: Any) -> Any:
-    """Return a value of the file, rounded to digits that do not depend on a processor's rounding.
+    """Return a value of the file, floats rounded to digits that no processor's rounding changes.
 
     Lists and tables are rounded entry by entry.
 
@@ -248,7 +248,7 @@ def _body_table(body: Body) -> dict[str, Any]:
 def _joint_table(joint: Joint) -> dict[str, Any]:
     """Return the [[joint]] table of a robot file, by its keys, for a joint.
 
-    It has DH row, type, limits, coupling, compliance and body.
+    It has DH row, limits, and as far as given name, type, coupling, readings, compliance and body.
     """
     table: dict[str, Any] = {"name": joint.name} if joint.name else {}
     table |= {key: value for key, value in dh_row(joint).items() if value is not None}
@@ -271,7 +271,7 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
 
 
 def readings_table(readings: Coupling, kind: str) -> dict[str, Any]:
-    """Return the keys of a file by which a row's variable follows from the controller's readings."""
+    """Return the keys of a row's `readings` in a file; the offset's, in deg or mm, if not zero."""
     unit, to_unit = ("mm", _mm) if kind == "prismatic" else ("deg", _deg)
     offset = {f"offset_{unit}": to_unit(readings.at)} if readings.at else {}
     return {"readings": [[j, float(k)] for j, k in readings.follows], **offset}

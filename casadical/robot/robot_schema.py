@@ -55,18 +55,18 @@ def _stiff(value: float | None) -> float | None:
     return value
 
 
-# A stiffness [N m/rad or N/m].
+# A stiffness, 1 to 1e15 [N m/rad or N/m], or None.
 Stiffness = Annotated[float | None, Field(gt=0, le=1e15), AfterValidator(_stiff)]
 # A name in Unicode's composed form, as the names of a table are.
 Spelt = Annotated[str, AfterValidator(partial(unicodedata.normalize, "NFC"))]
-# Half width of a length's bounds, or prior standard deviation of a length, positive [m].
+# Half width of a length's bounds, or prior standard deviation of a length, positive [m], or None.
 HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
-# Half width of an angle's bounds, or prior standard deviation of an angle, positive [rad].
+# Half width of an angle's bounds, or prior standard deviation of an angle, positive [rad], or None.
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
 
 class _Body(TomlTable):
-    """A body or payload in a file."""
+    """A body or payload in a file; com in the frame of its link, flange or tool [m]."""
 
     mass_kg: float = Field(ge=0, le=1e6)
     com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
@@ -152,7 +152,7 @@ class _Joint(ReadingsTable):
     @model_validator(mode="before")
     @classmethod
     def _own_units(cls, data: Any) -> Any:
-        """Refuse keys of angles for a prismatic joint, and keys of lengths for a revolute one."""
+        """Refuse limits and stiffness in the units of the other kind of joint."""
         if not isinstance(data, dict):
             return data
         kind = data.get("type", "revolute")
@@ -166,7 +166,7 @@ class _Joint(ReadingsTable):
 
     @model_validator(mode="after")
     def _consistent(self) -> _Joint:
-        """Refuse limits in the wrong order, a stiffness of a rigid joint, and b without beta."""
+        """Refuse limits in the wrong order, a stiffness with compliant = false, b without beta."""
         if self.limits and self.limits[0] >= self.limits[1]:
             raise FaultError("limits", "the lower one must come first")
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -177,7 +177,10 @@ class _Joint(ReadingsTable):
         return self
 
     def joint(self) -> parts.Joint:
-        """Return the joint with DH row, limits and compliance that the table describes [SI]."""
+        """Return the joint that the table describes [SI], with default limits +-2 pi or +-10 m.
+
+        Compliant without a stiffness it has the nominal compliance 0.
+        """
         default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
         lower, upper = self.limits or default
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -292,7 +295,10 @@ class RobotTables(TomlTable):
     width: _Widths = _Widths()
 
     def added_to(self, robot: Robot) -> Robot:
-        """Return a robot with what the tables declare, in the frames of its base and tool."""
+        """Return a robot, as of `read_urdf`, with what the tables declare; the rest stays.
+
+        The gravity vector is in the measuring frame, the payload in the tool frame.
+        """
         given, R = self.model_fields_set, robot.base.T[:3, :3]
         made: dict[str, Any] = {name: getattr(self, name) for name in ("masses", "drive") if name in given}
         if "gravity" in given:
@@ -347,11 +353,9 @@ class RobotFile(RobotTables):
         for i in (i for i, row in enumerate(self.joint) if names.count(row.name) > 1):
             raise FaultError(("joint", i, "name"), "another joint has this name; each needs one of its own")
         twists = np.array([abs(row.alpha) for row in self.joint])
-        # The twists [rad] that result when a right or a straight angle in radians is read as
-        # degrees.
+        # The twists [rad] of a right or a straight angle in radians that is read as degrees.
         twists_read_as_degrees = np.deg2rad([np.pi / 2, np.pi])
-        # Twists that differ by less than this [rad] from those of radians read as degrees are
-        # refused.
+        # Twists that differ by less than this [rad] from these are refused.
         twist_tolerance = np.deg2rad(1e-3)
         in_radians = np.flatnonzero((np.abs(twists[:, None] - twists_read_as_degrees) < twist_tolerance).any(axis=1))
         if (
@@ -415,7 +419,8 @@ class RobotFile(RobotTables):
 def far_centre(robot: Robot) -> tuple[int, str] | None:
     """Return the first joint, from 1, whose mass centre is too far away, and how far in words.
 
-    Too far is more than 1 m beyond twice the arm's reach, as one given in the wrong unit.
+    Too far from its frame's origin is more than twice the arm's reach plus 1 m, as for one in the
+    wrong unit. None is returned where no centre is.
     """
     most = 2 * robot.reach + 1.0
     for i, joint in enumerate(robot.joints, 1):
@@ -427,10 +432,7 @@ def far_centre(robot: Robot) -> tuple[int, str] | None:
 
 
 def _refuse_undefined(robot: Robot) -> None:
-    """Refuse effects with which the model gives no finite position at two trial readings.
-
-    Raises InputError.
-    """
+    """Refuse effects that give no finite position at one of two trial poses. Raises InputError."""
     lower, upper = robot.limits
     for share in (0.37, 0.71):
         q = lower + share * (upper - lower)
@@ -446,8 +448,8 @@ def _refuse_undefined(robot: Robot) -> None:
 def _from_standard(rows: list[parts.Joint]) -> tuple[list[parts.Joint], Array]:
     """Return modified DH rows for standard ones, and the flange frame in the last modified frame.
 
-    That frame, shape (4, 4) [m], is the transform of the last row's a and alpha. Mass centres of
-    bodies, given in the standard frames, are transformed too. Standard: Rot_z(theta) Trans_z(d)
+    That frame, shape (4, 4) [m], is the transform of the last row's a and alpha. Bodies, given in
+    the standard frames, are transformed too. Standard: Rot_z(theta) Trans_z(d)
     Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
     """
     shifted = [parts.Joint(), *rows[:-1]]

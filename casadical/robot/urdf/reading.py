@@ -22,7 +22,7 @@ class UrdfChain:
     name : of the robot; base_link, tip_link : ends of the chain
     moving : the moving joints (yourdfpy's) from base to tip
     fixed_tip : the fixed joint before the tip, None if there is none
-    frames : of every link on the base, at zero readings, in the base link's frame, each (4, 4) [m]
+    frames : of the base link and all below it, at zero readings, in its frame, each (4, 4) [m]
     dh : the same chain in modified DH form
     bodies : body that each moving joint moves and the next does not, in the link's modified DH
         frame; None without mass
@@ -52,10 +52,10 @@ def read_urdf(
     The measuring frame is nominally the base link (its true pose unknown), the tool is the tip link
     (its position unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg.
     Down is -z of the file's root link. Links on fixed joints, and side branches at zero reading,
-    count as mass of the link that carries them.
+    count as mass of the link that carries them; if a mass centre is implausible, no mass is read.
 
     base_link : first end of the chain; None: the root
-    tip_link : last end of the chain; None: the only end that moves
+    tip_link : last end of the chain; None: the only end that moves, or a gripper's link
     compliant : joints (1-based, counted from the base link) whose drives are compliant; a URDF has
         no compliance, so that its nominal value is zero
     Raises InputError: no parser installed, no file, malformed XML, no such link, a branching chain,
@@ -182,8 +182,8 @@ def _followed(
 ) -> tuple[tuple[Coupling | None, tuple[str, str, float, float] | None], ...]:
     """Return coupling and leader, as of `Joint`, of each moving joint of the chain.
 
-    Of several joints that mimic one joint outside of the chain, the first has that leader and the
-    others follow the first.
+    Both are None for a joint that mimics no joint of the file. Of several that mimic one outside of
+    the chain, the first has that leader and the others follow the first. A factor of zero locks.
 
     moving, joints : joints (yourdfpy's) of the chain in order, and all of the file by name
     source : the file, for messages. Raises InputError: joints that mimic each other in a ring.
@@ -218,7 +218,9 @@ def _followed(
 def _range(joint: Any, source: str) -> tuple[float, float]:
     """Return lower and upper limit of a joint [rad or m]; -2 pi and 2 pi of a continuous one.
 
-    joint : yourdfpy's; source : the file, for messages. Raises InputError where it has none.
+    A missing side is 0. Raises InputError where they are not finite and rising.
+
+    joint : yourdfpy's; source : the file, for messages
     """
     # Limit that a continuous joint gets to either side [rad].
     full_turn = 2 * np.pi
@@ -242,7 +244,7 @@ def _bodies(
 
     urdf, tree : the file; dh : the chain in modified DH form
     frames : of the links at zero readings in the base link's frame; movers : link -> number of the
-        chain's joints that move it
+        chain's joints that move it. Raises InputError for a mass that is negative or not finite.
     """
     parts: list[list[Body]] = [[] for _ in range(len(dh.rows) + 1)]
     for link in urdf.links:

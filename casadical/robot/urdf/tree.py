@@ -56,7 +56,7 @@ def parse_urdf(path: Path) -> Any:
 
 
 def _refuse_xacro(document: minidom.Document, path: str) -> None:
-    """Refuse elements and values that xacro would replace. Raises InputError that names the first."""
+    """Refuse xacro's elements, and its values where they are read. Raises InputError."""
     read = ("robot", "link", "joint", "parent", "child", "origin", "axis", "limit", "mass", "inertia", "mimic")
     for element in document.getElementsByTagName("*"):
         items = element.attributes.items() if element.tagName in read else ()
@@ -74,9 +74,9 @@ def _refuse_xacro(document: minidom.Document, path: str) -> None:
 
 
 def _refuse_odd(document: minidom.Document, path: str) -> None:
-    """Refuse attributes that are no numbers, or implausible ones, with their link or joint.
+    """Refuse attributes of links and joints that are no numbers, not finite, or too large.
 
-    Raises InputError.
+    Raises InputError that names link or joint.
     """
     # (element of a link or joint, attribute) pairs whose values must be numbers.
     numeric_attributes = (
@@ -112,12 +112,11 @@ class Tree:
     """The tree of links.
 
     source : the file, for messages; names : of the links
-    above : link -> the joint (yourdfpy's) whose child it is; below : link -> the joints whose
-        parent it is
+    above : link -> joint (yourdfpy's) whose child it is; below : link -> joints whose parent it is
     """
 
     def __init__(self, urdf: Any, source: str) -> None:
-        """Build the tree of a robot as yourdfpy reads it. Raises InputError if it is no tree."""
+        """Build the tree. Raises InputError: no tree, a name twice, no link or too many."""
         self.source = source
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
@@ -231,10 +230,8 @@ class Tree:
     def at_zero(self, base: str, moving: Collection[str]) -> tuple[dict[str, Array], dict[str, int]]:
         """Return frames at zero readings of the base and all its descendants, and counts of joints.
 
-        Link -> frame in the base link's frame, (4, 4) [m]; link -> number of the joints in `moving`
-        between base and link.
-
-        moving : names of joints
+        Link -> frame in the base link's frame, (4, 4) [m]; link -> number of the joints between
+        base and link whose names are in `moving`.
         """
         frames, movers = {base: np.eye(4)}, {base: 0}
         waiting = [base]

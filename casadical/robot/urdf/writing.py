@@ -37,12 +37,14 @@ def calibrated_urdf_text(
     without compliance and effects, for which a URDF has no place: a comment in the file says so.
     Users of the file who do not add the deflections get better accuracy from a robot identified as
     rigid (method KM), whose geometry compensates part of them. Meshes, inertias and limits are
-    unchanged; every link keeps its pose relative to its own joint's axis.
+    unchanged; <dynamics> has the damping and friction of the robot's drive, if declared; every link
+    keeps its pose relative to its own joint's axis.
 
     robot_before : as read from the file; robot_calibrated : to be written
     base_link, tip_link : as of `read_urdf`
     base : what the base link is: the robot's base or the measuring frame
-    measured_link : name of a new link at the measured point; None: the tip link is moved there
+    measured_link : name of a new link at the measured point, with further targets as further links;
+        None: the tip link is moved there
     measuring_link : name of a new link on the base link at the measuring frame, such as a camera
         that stands still; None: none
     Raises InputError: another robot than that of the file, a closed loop, a tool that has moved
@@ -73,9 +75,9 @@ def calibrated_urdf_text(
 
 
 def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: str) -> None:
-    """Refuse robots with another chain than the file's before calibration, or with a closed loop.
+    """Refuse another chain than the file's, or a calibrated robot with a closed loop.
 
-    Raises InputError.
+    The DH rows before calibration are compared with the file's. Raises InputError.
     """
     if after.loops:
         raise InputError(f"{source}: {after.name!r} has a closed loop, a URDF is a tree; write it with write_robot")
@@ -98,8 +100,7 @@ def _joint_origins(chain: UrdfChain, robot: Robot, T_link0: Array) -> dict[str, 
     A URDF link is at C_k in our frame k, before and after calibration; between two links are the DH
     row and, before the joint, the fixed joints.
 
-    chain : of the file; robot : calibrated; T_link0 : frame 0 in the base link's frame, shape (4, 4)
-        [m]
+    chain : of the file; robot : calibrated; T_link0 : frame 0 in the base link's, (4, 4) [m]
     """
     origins = {}
     behind, link = T_link0, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
@@ -225,8 +226,8 @@ def new_urdf(robot: Robot) -> str:
     """Return the text of a URDF of any robot without loops.
 
     base_link is the robot's base frame, the joints have their names, else joint1 .. jointN, and
-    <mimic> where they follow one other joint. The base's pose in the measuring frame, compliances,
-    other couplings and effects have no place in a URDF: a comment says so.
+    <mimic> where they follow one other joint. Compliances, other couplings and effects have no
+    place in a URDF: a comment says so. The base's pose and further targets are omitted.
 
     robot : calibrated or nominal
     Raises InputError: a robot with a closed loop.
@@ -271,7 +272,7 @@ def new_urdf(robot: Robot) -> str:
 
 
 def no_urdf_place(robot: Robot) -> list[str]:
-    """Return sentences on how joints move or count that has no place in a URDF."""
+    """Return sentences on how joints move or count that has no place in a URDF; [] if none has."""
     odd = [i for i, j in enumerate(robot.joints, 1) if j.coupling and len(j.coupling.follows) != 1]
     led = [i for i, j in enumerate(robot.joints, 1) if j.leader]
     lines = [f"joint {i} follows others, or is locked: it moves by itself here" for i in odd]
@@ -284,9 +285,7 @@ def no_urdf_place(robot: Robot) -> list[str]:
 def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
     """Return attribute ("damping", "friction") -> value as text, as far as [drive] has them.
 
-    They are in [N m s/rad] and [N m] (prismatic: [N s/m] and [N]).
-
-    joint : number, from 1
+    They are in [N m s/rad] and [N m] (prismatic: [N s/m] and [N]). joint : number, from 1
     """
     if robot.drive is None:
         return {}
