@@ -76,7 +76,7 @@ class Fault:
     remedy: str
 
     def within(self, other: "Fault") -> bool:
-        """Return whether `other` is this fault, but for value and remedy, in these rows and more."""
+        """Return whether `other` is this fault in these rows and more, of any value and remedy."""
         same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
         return same and {*self.rows} < {*other.rows}
 
@@ -177,6 +177,6 @@ def visible(text: str) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a name or path for a message: unprintable characters escaped, cut to 300 characters."""
+    """Return a name or path as at most 300 characters for a message, unprintable ones escaped."""
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(value))
     return text if len(text) <= 300 else f"{text[:297]}..."

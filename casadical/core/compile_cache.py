@@ -213,7 +213,7 @@ def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Fun
 def _computes_correctly(function: ca.Function, library: Path) -> bool:
     """Return whether a library, run in a separate process, has the outputs of a CasADi function.
 
-    They are compared at `TRIAL_POINTS` points with a relative tolerance of 1e-9 and an absolute one of 1e-12.
+    They are compared at `TRIAL_POINTS` points within 1e-9 of the value plus 1e-12.
     """
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])

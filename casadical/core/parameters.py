@@ -16,8 +16,8 @@ _REPORT_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("u
 class Parameter:
     """One number of the model.
 
-    name : name as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
-    group : base, geometry, loop, tool, compliance, or the name of an effect
+    name : as in the paper's tables: alpha2, a2, d3, theta3, L4, tool_x, base_rx, c3; or label.name
+    group : base, geometry, loop, tool, compliance, or the label of an effect
     unit : SI unit of the other numbers: m, rad, rad/(N m), ...
     value : nominal value [unit]
     scale : size of one unit of the solver's variable, such as 1e-3 for 1 mm or 1 mrad [unit]

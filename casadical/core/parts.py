@@ -467,7 +467,7 @@ class Arm:
 
     @cached_property
     def reach(self) -> float:
-        """Return the summed |a|, |d|, strokes and tool length [m]; without b they bound the reach."""
+        """Return the sum of |a|, |d|, strokes and tool length [m]: it bounds the reach if b = 0."""
         links = sum(
             abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
         )

@@ -155,7 +155,7 @@ def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """Return the tables of a TOML file. Raises InputError: no TOML in UTF-8, a BOM, or unreadable."""
+    """Return the tables of a TOML file. Raises InputError: no TOML, no UTF-8, or unreadable."""
     data = read_bytes(path, MAX_TEXT_BYTES)
     try:
         if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):

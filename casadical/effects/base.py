@@ -35,7 +35,7 @@ class Context:
     torque_scale : shape (n,) [N m or N]: peak gravity torque of each joint (see
         `Robot.torque_scale`)
     q : shape (n,) [rad or m]: joint variables of the robot's rows, from the readings
-    conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
+    conditions : logged and derived columns by name (payload_kg, progress, approach1, ...)
     values : the value of every parameter of the model, by name [SI]
     frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
     gravity : shape (3,) [m/s^2]: in the robot's base frame
@@ -361,7 +361,7 @@ class Effect:
     name: ClassVar[str] = "none"
     # Prior standard deviation of each parameter in a robot model, divided by its typical size.
     prior_sigma: ClassVar[float] = CAUSE_PRIOR_SIGMA
-    # List of candidates: standard, extended, unknown (no named cause); empty: only on request.
+    # List: standard, extended, unknown (no named cause), motion (joint logs); empty: on request.
     on_list: ClassVar[str] = ""
     # Name of the effect of which it is a variant and under whose name it is reported; empty: none.
     answers_as: ClassVar[str] = ""
@@ -373,11 +373,11 @@ class Effect:
     covers: ClassVar[frozenset[str]] = frozenset()
     # Typical size (prior standard deviation of a candidate) and its unit, by parameter.
     size: ClassVar[Mapping[str, tuple[float, str]]] = {}
-    needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged for it to be a candidate
+    needs: ClassVar[tuple[str, ...]] = ()  # columns without which it is no candidate
     signature: ClassVar[str] = ""  # how it appears in the data (in brackets: mechanical causes that share it)
     physics: ClassVar[str] = ""  # physical explanation with its source
     confused_with: ClassVar[str] = ""  # causes that are hard to distinguish from it
-    of_measurement: ClassVar[bool] = False  # whether it acts on the instrument's reading, not on the robot
+    of_measurement: ClassVar[bool] = False  # whether instrument or target cause it, not the robot
     from_kind: ClassVar[bool] = False  # whether its columns come from the kind of measurement, not from a log
     simulated_first: ClassVar[bool] = False  # whether its counterpart is made before those of other effects
 

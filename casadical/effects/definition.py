@@ -121,7 +121,7 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
 
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with the identified payload; an omission if none is declared.
+    """Return a simulator's counterparts with the identified payload; an omission if none is known.
 
     v : `mass`, error of the mass divided by the declared mass; `x`, `y`, `z`, error of the first
         moment in the last link's frame, divided by the declared mass [m]
@@ -208,7 +208,7 @@ class Setting(TomlTable):
 
     @property
     def points(self) -> int:
-        """Return the number of values of the setting's grid, at least 1; for "near" 2 is assumed."""
+        """Return the number of values of the setting's grid, at least 1; 2 is taken for "near"."""
         return (
             self.grid.count
             if isinstance(self.grid, Grid)
@@ -285,7 +285,7 @@ class DefinedEffect(FormulaEffect):
 
     @property
     def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Return the names of the columns that must have been logged.
+        """Return the names of the columns, logged or derived, without which it is no candidate.
 
         temperature_degC is among them if a formula uses a warmth, which is derived from it.
         """
@@ -337,7 +337,7 @@ class _Texts(NamedTuple):
     """Texts of an effect, with the values of joint and settings in place of the placeholders.
 
     formulas : by insertion point; sizes : typical size and unit of each parameter
-    needs : columns that must have been logged; conditions : columns that the effect needs
+    needs : columns without which it is no candidate; conditions : columns that its formulas use
     drivers : names in the formulas that are neither parameters nor settings
     """
 

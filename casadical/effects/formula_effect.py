@@ -252,7 +252,7 @@ class FormulaEffect(Effect):
         """Return the point displaced by the formulas of the measurement, shape (3,) [m].
 
         "point" displaces it as a vector, "distance" away from the anchor, "beam" away from the
-        instrument's station, "across" horizontally across the beam.
+        instrument's station, "across" horizontally to the left of the beam.
         point : true measured point, shape (3,) [m]; both are in the measuring frame
         """
         moved, names = point, dict(zip(_POINT_NAMES, ca.vertsplit(point), strict=True))
@@ -274,7 +274,7 @@ class FormulaEffect(Effect):
 
     @property
     def of_head(self) -> tuple[str, ...]:
-        """Return the column of the head's last rotation, in a tuple; () if not used or in `needs`."""
+        """Return the column of the head's last rotation in a tuple; () if unused or in `needs`."""
         named = any(HEAD_NAME in f.names for seam, f in self.formulas.items() if seam in STATION_SEAMS)
         return (head_column(self.station),) if named and HEAD_NAME not in self.needs else ()  # type: ignore[attr-defined]
 

@@ -96,7 +96,7 @@ class FrameStep(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return steps of the measuring frame and of all links but the last, at twelve values `at`."""
+        """Return steps of the measuring frame and all links but the last, at twelve values `at`."""
         return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:

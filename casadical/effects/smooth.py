@@ -116,7 +116,7 @@ class AnyOfOwnAngle(_Smooth):
         return {f"{n}{h}": (TYPICAL_ANGLE_RAD, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad], a Fourier series of its variable q [rad]."""
+        """Return the error of the effect's joint [rad], a Fourier series of its angle q [rad]."""
         return self._harmonics(context, q)
 
 
@@ -476,7 +476,7 @@ class SmoothInSpace(_Smooth):
         return {f"{c}_{p}": (TYPICAL_LENGTH_M, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point, (3,) [m], displaced by quadratic polynomials of its coordinates / reach.
+        """Return the point, (3,) [m], displaced by quadratic polynomials of coordinates / reach.
 
         point : without the effect, shape (3,) [m]; both are in the measuring frame
         """

@@ -99,7 +99,7 @@ class HoseDrag(Effect):
         return super().candidates(arm) if arm.n >= 6 else ()
 
     def energy(self, context: Context) -> Symbolic:
-        """Return the potential energy [J] of the hose by its length from the clip to the load."""
+        """Return the potential energy [J] of the hose from the clip to the load or last frame."""
         arm, n = context.arm, context.arm.n
         elbow, wrist = context.frames[n - 4], context.frames[n - 3][:3, 3]
         forearm = wrist - elbow[:3, 3]

@@ -67,7 +67,7 @@ class Chosen:
         return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
 
     def emptied(self, width: int) -> Chosen:
-        """Return the same model with empty caches for `width` other columns, to judge those."""
+        """Return this model of the base alone with empty caches for `width` other columns."""
         V, b = ({k: CachedRows(width, rows.numbers) for k, rows in part.items()} for part in (self.V, self.b))
         return replace(self, V=V, b=b)
 
@@ -99,7 +99,8 @@ class Marginals:
     def extended(self, model: LinearModel) -> Marginals:
         """Return the marginals of a model, with the caches of this one for its first columns.
 
-        model : the model of this object with additional columns at the end
+        model : the model of this object with additional columns at the end; without any, only the
+            sums are taken over
         """
         more = Marginals(model)
         more.sums.extend(self.sums)

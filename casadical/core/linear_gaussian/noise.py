@@ -80,7 +80,7 @@ class NoiseModel:
         return total
 
     def whitening(self, ratios: Mapping[str, Ratio]) -> tuple[Array, float]:
-        """Return each block's whitening matrix, (n, m, m), to variance sigma^2, and a log determinant.
+        """Return matrices, (n, m, m), that whiten to the variance sigma^2, and a log determinant.
 
         ratios : as of `covariance`. The determinant is that of all blocks (see `whitening_of`).
         """

@@ -290,7 +290,7 @@ class GridSums:
         return self._slices(max(E.shape[2], 1))
 
     def _slices(self, width: int) -> Iterator[slice]:
-        """Return slices of all blocks by `column_bytes` for `width` columns, `min_blocks` or more."""
+        """Return slices of all blocks by `column_bytes` for `width` columns, or `min_blocks`."""
         blocks, m = self._shape
         step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * width))
         return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
