@@ -89,11 +89,9 @@ def summarise(errors: Array) -> Accuracy:
 
 
 def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
-    """Return tool positions (n, 3) [m] and orientations (n, 3, 3) by a robot's model.
+    """Return tool positions (n, 3) [m] and orientations (n, 3, 3) in the measuring frame, by model.
 
-    They are in the measuring frame.
-
-    m : poses and their conditions
+    m : poses and their conditions; those not logged are as the robot declares them
     values : parameter name -> value [SI], used in place of the robot's own
 
     Examples
@@ -131,9 +129,9 @@ def residual_mm(robot: Robot, m: Measurements) -> Array:
 def errors(robot: Robot, m: Measurements) -> Array:
     """Return the error of a robot's model at each pose, shape (n,) [m], zero or positive.
 
-    Position and pose: the distance between measured and computed point. Distances: the absolute
-    difference. Contact: the distance from the mean of all poses at the same point, the only
-    reference there is. See `MeasurementKind.errors`.
+    Position and pose: the distance between measured and computed point. Distances and readings of a
+    dial: the absolute difference. Contact: the distance from the mean of all poses at the same
+    point, or from the best plane or sphere of the label. See `MeasurementKind.errors`.
 
     m : poses with their observations
 

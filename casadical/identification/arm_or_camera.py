@@ -45,7 +45,7 @@ _DEPARTURE_SIZES = np.geomspace(0.03, 10.0, 18)
 _NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
 # Probability from which a side is said to be wrong or right.
 _CONFIDENCE = 0.9
-# What carries the camera -> what moved, if what the flange carries did, or what stands.
+# Where the camera is -> what may have moved, by the group of the frame that changed.
 _MOVED = {
     "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's pedestal"},
     "to base": {"tool": "the board on the flange", "base": "the camera or the robot's pedestal"},
@@ -122,10 +122,7 @@ class Moved(Shown):
         )
 
     def doubt_in_words(self) -> str:
-        """Return a sentence that nothing moved between two rows, or that the poses do not tell it.
-
-        It is for a movement that is not certain.
-        """
+        """Return a sentence that nothing moved between two rows, or that this is not tellable."""
         if self.probability <= 1 - _CONFIDENCE:
             return "Hand-eye or board moved between two rows: no."
         return (
@@ -297,7 +294,8 @@ class _Model(NamedTuple):
     def step(self, answer: ArmOrCamera, groups: Array) -> tuple[Moved, str] | None:
         """Return the most probable step of tool or base frame between rows, and its group, or None.
 
-        Prior: probability 0.1, sigmas of 0.5 mm and 1 mrad or of 3 mm and 8 mrad.
+        Prior: probability 0.1, sigmas of 0.5 mm and 1 mrad or of 3 mm and 8 mrad. None with fewer
+        than eight poses, or where a frame has parameters that are not free.
 
         answer : posterior without a step; groups : of the columns of frames, "base" or "tool"
         """

@@ -68,7 +68,7 @@ class Departure(Shown):
         return bool(self.low > SIZE_GRID[0])
 
     def in_words(self) -> str:
-        """Return a sentence with the departure [mm and mrad rms], and whether a prior followed."""
+        """Return a sentence with departure [mm, mrad rms] and prior, or a limit if not visible."""
         if not self.visible:
             return f"The geometry does not visibly depart from nominal (at most {self.high:.2g} mm and mrad rms)."
         interval = f"{self.size:.2g} mm and mrad rms ({self.low:.2g} to {self.high:.2g})"
@@ -79,7 +79,7 @@ class Departure(Shown):
 def departure_of(problem: LeastSquares, v: Array, variance: float, names: Sequence[str]) -> Departure | None:
     """Return how far the geometry departs from nominal by a fit; None without free geometry.
 
-    None, too, where the posterior of the departure cannot be computed from this fit.
+    None, too, where the variance is zero, or the posterior cannot be computed from this fit.
 
     problem : as it was solved; v : its optimum
     variance : of a residual in units of sigma squared

@@ -123,7 +123,7 @@ def parameter_figures(result: Identification) -> Iterator[Figure]:
 def fit_figures(
     result: Identification, sets: Mapping[str, Sequence[Measurements]], residuals: Array | None = None
 ) -> Iterator[Figure]:
-    """Yield the figures of residuals, joint coverage and pairs of correlated parameters.
+    """Yield the figures of residuals, joint coverage and, if any correlate, pairs of parameters.
 
     sets : legend entry of the figure of joint coverage -> its sets of measurements
     residuals : in place of the fit's own, in units of their standard deviation, any shape
@@ -162,7 +162,8 @@ def residual_quantiles(residuals: Array) -> Figure:
 def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> Figure:
     """Return the figure of the readings of each joint within its limits, in % of its range.
 
-    A reading is a tick; each entry of `sets` has a line of ticks at every joint.
+    A reading is a tick; each of the first four entries of `sets` has ticks at every joint, those of
+    MAX_POINTS_DRAWN poses at most.
 
     sets : legend entry -> its sets of measurements
     """

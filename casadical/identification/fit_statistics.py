@@ -19,7 +19,7 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
     """Return the covariance of the free parameters, shape (p, p) [SI], points marginalised.
 
     Rows and columns of parameters at a bound are NaN. With a robust loss it is the sandwich H^-1
-    (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
+    (J' W^2 J + P) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7), P the prior precision.
 
     v : the optimum, shape (size,); variance : of a residual in units of sigma squared, one if the
         sigmas are right
@@ -38,9 +38,9 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
     """Return the variance of a residual at v in units of sigma^2: square sum by degrees of freedom.
 
-    With a robust loss, and unless outliers were excluded (`trimmed`), it comes from a robust
-    scatter of the residuals instead. With a correlated prior it is at least one: small residuals
-    relative to the prior are no sign that the prior or the instrument is better than stated.
+    Informative priors are in both. With a robust loss, unless outliers were excluded (`trimmed`),
+    it comes from the median of the sets' robust variances instead. With a correlated prior it is at
+    least one: small residuals are no sign that prior or instrument is better than stated.
     """
     least = 1.0 if problem.correlated else 0.0
     freedom = max(1, problem.degrees_of_freedom)
@@ -53,8 +53,8 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 def redundancies(problem: LeastSquares, v: Array) -> Array:
     """Return the redundancy number (1 minus leverage) of each residual, shape (residuals,).
 
-    Their sum is the number of degrees of freedom of the fit. Those of all sets follow each other,
-    then those of given distances between points.
+    Their sum is the fit's effective number of degrees of freedom. Those of all sets follow each
+    other, then those of given distances between points.
 
     v : the optimum, shape (size,)
     """

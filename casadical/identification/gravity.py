@@ -27,7 +27,7 @@ class Deflection:
 
     @property
     def sure(self) -> bool:
-        """Whether the poses determine the deflection: it exceeds four standard errors."""
+        """Whether the poses determine the deflection: it exceeds four positive standard errors."""
         # Below this the sentence gives a 95 % upper limit instead.
         return self.change > 4.0 * self.error > 0
 
@@ -35,9 +35,9 @@ class Deflection:
 def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
     """Return the deflection over the used poses of every joint whose compliance was identified.
 
-    Only the variation over the poses counts: a constant deflection is indistinguishable from a
-    joint's zero. Its standard error follows to first order from the covariance of all identified
-    parameters: masses and compliances, which estimated masses leave open, change it together.
+    It is () if none was. Only the variation over the poses counts: a constant deflection is
+    indistinguishable from a joint's zero. Its standard error follows to first order from the
+    covariance of all identified parameters: masses and compliances change it together.
     Bounds are ignored, so that a joint that came out rigid has an error too.
     """
     robot, problem = found.robot, found.problem

@@ -37,7 +37,7 @@ class Unidentifiable:
 
     name : of the parameter
     reason : why, in words
-    confounded_with : parameters that together change the measurements as it does
+    confounded_with : parameters that together change the measurements as it does, or nearly
     """
 
     name: str
@@ -49,9 +49,9 @@ class Unidentifiable:
 class Identifiability:
     """Which parameters the data determine.
 
-    independent : names of the identifiable parameters, in model order
+    independent : names of the identifiable parameters, in the order in which they were given
     unidentifiable : the parameters fixed at nominal, each with its reason
-    condition : condition number of the scaled Jacobian of the independent ones
+    condition : condition number of the scaled Jacobian of these and the unknown points; 1 if none
     """
 
     independent: tuple[str, ...]
@@ -150,7 +150,7 @@ def drop_poor(
     variance : of a residual in units of sigma squared
 
     Returns the indices of the remaining parameters, the others with the reason, and the covariance
-    of the remaining ones in units of their scale, shape (p, p).
+    of the remaining ones in units of their scale, shape (p, p), points marginalised.
     """
     priors = np.array([np.inf if p.guess else p.prior / p.scale for p in parameters])
     remaining = list(range(len(H)))

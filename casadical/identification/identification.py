@@ -59,8 +59,7 @@ class Prepared(Shown):
     robot : nominal, with all effects in its model that measurements and prior require (see
         `prepare`)
     sets : the measurements
-    free : labels of the effects that were added to the base model (masses, sessions), whose
-        parameters are to be identified
+    free : labels of the effects of masses and sessions whose parameters are to be identified, too
     prior : prior of parameters from another campaign
     knowledge : covariance and ranges of validity of the robot as it was given
     method : of the paper, None for a user's own choice of parameters
@@ -82,7 +81,7 @@ class Prepared(Shown):
 
     @cached_property
     def start(self) -> Robot:
-        """The nominal robot with initial base and tool frames fitted to the measurements.
+        """The nominal robot with the unknown parts of its base and tool frames fitted to the sets.
 
         Raises InputError: for measurements that this robot cannot have made.
         """
@@ -120,7 +119,7 @@ def prepare(
     prior : the robot from another campaign, or a prior as `carry_over` returns it
     method : of the paper (KM: rigid joints); it, not `masses`, determines how masses are treated
     tool_turns : whether the orientation of an unknown tool is free where orientations were measured
-    Raises InputError for measurements or a method that cannot be used.
+    Raises InputError for measurements, a prior or a method that cannot be used.
     """
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
@@ -185,13 +184,12 @@ def with_all_joints_compliant(robot: Robot, sets: Sequence[Measurements]) -> tup
 def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
     """Return the robot with errors of its estimated masses as effects, and the effects' labels.
 
-    The labels name groups of parameters to be identified. The robot is unchanged, and there are no
-    labels, where its masses are declared, no joint is compliant, or it has such effects already.
-    Compliances are fitted to the torques of estimated masses (`parts.with_estimated_masses`), and
-    the errors of these estimates are fitted with them: mass and mass centre of every link, and the
-    mass centre of a logged payload. The deflection of each joint under gravity is then determined
-    (see `gravity`), while its stiffness is not: twice the masses at twice the stiffness give the
-    same deflections.
+    The labels name groups of parameters to be identified. No effect is added, and there are no
+    labels, where masses are declared, no joint is compliant, or the robot has such effects already.
+    Missing masses are estimated (`parts.with_estimated_masses`). Compliances are to be identified
+    together with the errors of these estimates, those of links and of a logged payload. The
+    deflection of each joint under gravity is then determined (see `gravity`), while its stiffness
+    is not: twice the masses at twice the stiffness give the same deflections.
     """
     if all(j.compliance is None for j in robot.joints):
         return robot, ()
@@ -208,7 +206,7 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
 
 
 def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> Prepared:
-    """Return the prepared problem of an identification, or of other measurements of its robot.
+    """Return the prepared problem of an identification's nominal robot, for its or other sets.
 
     sets : other measurements, still to be fitted; without any, the identification itself is part of
         the prepared problem
@@ -245,10 +243,10 @@ def identify(
     free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic,
         placement), name or pattern
     method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the
-        robot file declares none, if the measurements support it), instead of `free`
+        robot file declares none, if the measurements support it; then KM has the outliers of this
+        compliant model), instead of `free`
     loss : linear, or a robust loss, huber or soft_l1, with which poses beyond what noise reaches
-        once in 100 000 are excluded from a last solve; auto is huber where that finds such poses,
-        else linear, as in the command `calibrate`
+        once in 100 000 are outliers; auto is huber where that excludes outliers, else linear
     priors : auto solves without any, and again with a prior on the geometry where the poses leave
         it open, as wide as this arm's departures are (see `departure`); or whether the robot's own
         prior widths constrain departures from nominal; or name -> (mean, one sigma) [SI] of
@@ -256,10 +254,10 @@ def identify(
     prior : the same robot from another campaign, whose effects are put into the model and freed,
         with their values and covariance as a prior, while the robot's own priors constrain all
         other parameters; or as of `carry_over`
-    screen : True leaves outliers out of further solves, with a robust loss; False only gives them
-        less weight
+    screen : True leaves outliers out of further solves, with a robust loss; False leaves out none:
+        huber and soft_l1 give them less weight, auto is linear
     progress : called with iteration number and cost
-    Raises InputError: where the measurements do not fit the robot.
+    Raises InputError: where measurements or arguments do not fit the robot.
     Raises ConvergenceError: where Ipopt finds no optimum.
 
     References
@@ -310,13 +308,13 @@ def calibrated_without_outliers(
 def with_compliance_if_supported(prepared: Prepared, progress: Progress | None = None) -> Prepared:
     """Return the problem with compliance of all revolute joints if its measurements support it.
 
-    Only compliance that the robot file does not declare is tested; the result is in `tried`. It is
-    supported where the residuals are at least 1 % smaller and an F-test gives such a reduction by
-    chance a probability below 1e-3. BIC would be stricter with all joints compliant at once, though
-    every arm gives way under gravity. Only parameters that the data determine are counted, and the
-    robot's priors constrain both models. Outliers are those of the compliant model: the residuals of
-    a rigid model of a compliant robot are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST
-    poses of a set, drawn at random, are used.
+    Only compliance that the robot file does not declare is tested; the result is in `tried`, None
+    where a fit fails. It is supported where the residuals' standard deviation is over 1 % smaller
+    and an F-test gives such a reduction by chance a probability below 1e-3. BIC would be stricter
+    with all joints compliant at once, though every arm gives way under gravity. Only parameters
+    that the data determine are counted; the robot's priors constrain both models. The outliers of
+    the compliant model are left out of both: large residuals of a rigid model are no gross errors.
+    At most MAX_POSES_OF_COMPLIANCE_TEST poses of a set, drawn at random, are used.
     """
     wider = prepared.compliant
     if wider is None:
@@ -362,13 +360,14 @@ def calibrated(
     in_camera: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
-    """Identify the parameters of a prepared problem; arguments as of `identify`.
+    """Identify the parameters of a prepared problem; arguments as of `identify`, other defaults.
 
-    The parameters of `prepared.method`, where there is one, take the place of `free`.
+    The parameters of `prepared.method`, where there is one, take the place of `free`; those of
+    `prepared.free` and of the prior are identified, too.
 
     weighed : whether the tilt of the pedestal is identified by the weight of the links alone, where
         nothing at rest was measured
-    in_camera : whether the noise of a camera's poses is that of its own axes
+    in_camera : whether the noise of a camera's poses may differ between the camera's axes
     Raises InputError, ConvergenceError.
     """
     robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
@@ -444,8 +443,8 @@ def _with_priors(
 ) -> Identification:
     """Return the identification of the same poses with priors, after one without.
 
-    free : the identification without priors, whose outliers and loss are used, and whose reasons
-        are taken over for parameters that are not identifiable
+    free : the identification without priors, of which outliers, loss, and the reasons why
+        parameters not in `names` are unidentifiable are taken over
     names : of the parameters to identify; options : of `calibrated`
     """
     asked = replace(prepared, method=None, free=())

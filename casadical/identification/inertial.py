@@ -114,8 +114,8 @@ def _friction_columns(v: Array) -> Array:
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
     """Return sentences on contradictions between a log and the arm's model, each with a remedy.
 
-    They concern missing masses or motor data, torques in another unit, and joints in another order
-    or sign.
+    They concern missing masses or motor data, readings out of range, and, of a robot with masses,
+    torques in another unit and joints in another order or sign.
     """
     states = None if lacks_masses(robot) else states_of(log)
     ends = () if states is None else (*_torque_scale_faults(robot, log, states), *_column_faults(robot, log, states))
@@ -152,7 +152,7 @@ def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
 
 
 def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """Yield a sentence if logged torques differ from the model's by more than MAX_TORQUE_RATIO."""
+    """Yield a sentence if logged and model torques differ by MAX_TORQUE_RATIO (median ratio)."""
     if log.torque is None:
         return
     model = Dynamics(robot).torque(states.q, states.v, states.a)
@@ -217,10 +217,9 @@ def _driving_friction_share(v: Array, tau: Array, model: Array) -> float:
 def _unexplained_shares(dynamics: Dynamics, states: States) -> Array:
     """Return the share of each joint's torque variance that the model leaves, shape (joints,).
 
-    Variance that friction and an offset explain is removed first (1: the model explains nothing).
+    Variance that friction and an offset explain is removed first (1: the model explains nothing;
+    at least 1e-6).
     The model's torque is scaled by the best positive factor.
-
-    dynamics : of the robot; states : of a log
     """
     model = dynamics.torque(states.q, states.v, states.a)
     shares = np.ones(states.q.shape[1])

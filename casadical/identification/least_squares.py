@@ -2,8 +2,8 @@
 
 Variables are v = (x, u): departures x of the free parameters from nominal in units of their scale,
 then three coordinates u [mm] per unknown point, relative to the start. The cost is half the sum of
-squared residuals in units of sigma (through the robust loss), of given distances between points,
-and of the priors that apply.
+squared residuals in units of sigma, times their weights (through the robust loss), of given
+distances between points, and of the priors that apply.
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ class LeastSquares:
 
     @cached_property
     def _informed(self) -> Array:
-        """Mask of the variables whose priors are information, shape (size,).
+        """Mask of the variables whose priors, if they apply, are information, shape (size,).
 
         The robot's own priors of base and tool only limit the search: they do not count.
         """
@@ -178,7 +178,7 @@ class LeastSquares:
         return [self.robot.parameters[n] for n in self.names]
 
     def _parameter_values(self, what: str) -> Array:
-        """Return an attribute of the p free parameters, shape (p,); lengths and values are SI.
+        """Return an attribute of the p free parameters, shape (p,), in SI units.
 
         what : name of an attribute of `Parameter`, such as "scale" or "lower"
         """
@@ -278,9 +278,9 @@ class LeastSquares:
         """Return the optimum within the bounds, by default from the robot's own values.
 
         Where round-off of the cost stops Ipopt's line search, the solver cannot tell that it is at
-        an optimum; the size of one more Gauss-Newton step decides.
+        an optimum; the predicted gain of one more Gauss-Newton step decides.
 
-        start : variables v, shape (size,)
+        start : variables v, shape (size,); None: zero
         Raises ConvergenceError where Ipopt finds none.
         """
         scale = 0.5 * self.residual_count
@@ -299,9 +299,10 @@ class LeastSquares:
         """Return the variables, shape (size,), reached from v by bounded Gauss-Newton steps.
 
         Along bounds an active set needs a few steps where Ipopt's interior point needs many. A step
-        that raises the cost is repeated with damping (Levenberg-Marquardt). Steps end where one
-        lowers the cost by less than SETTLED_COST_GAIN, or would lower it by less than a hundredth
-        and meets no bound: Ipopt makes the same step.
+        that raises the cost is repeated with damping (Levenberg-Marquardt). There are at most
+        MAX_APPROACH_STEPS. They end earlier where one changes the cost by less than
+        SETTLED_COST_GAIN, where damping does not help, or where an undamped one would lower it by
+        less than a hundredth and meets no bound: Ipopt makes the same step.
         """
         cost, damping = self.cost(v), 0.0
         for _ in range(MAX_APPROACH_STEPS):
@@ -333,15 +334,12 @@ class LeastSquares:
         return float(self.cache.cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
-        """Return gradient (size,) and Gauss-Newton Hessian (size, size) of the cost at v."""
+        """Return gradient (size,) and Gauss-Newton Hessian (size, size) of the cost with priors."""
         both: tuple[Array, Array] = self.cache.gradient(v, self._gradient)
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
-        """Compute gradient (size,) and Gauss-Newton Hessian (size, size) of the cost at v.
-
-        They include the priors.
-        """
+        """Compute `gradient` at v from the sums over all residuals and the priors."""
         sums = self._sums(v)
         if self._without_priors:
             return sums.gradient, sums.information
@@ -435,9 +433,7 @@ class LeastSquares:
         return Sums(0.5 * cost, gradient, information, square, joined, R if triangle else None)
 
     def through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
-        """Return Jacobian (n m, size) and residuals (n m,) of a part, times the root of the weight.
-
-        The weight of a pose is that of the loss.
+        """Return Jacobian (n m, size) and residuals (n m,) of a part, times roots of loss weights.
 
         k : index of the set; r, J : residuals, shape (n, m), and Jacobian, shape (n m, size)
         """
@@ -526,7 +522,7 @@ class LeastSquares:
         return self.residuals(v), np.concatenate(rows) if len(rows) > 1 else rows[0]
 
     def at_bounds(self, v: Array) -> Array:
-        """Return the mask of the variables v that are at a bound, shape (size,)."""
+        """Return the mask of the variables v that are at a bound, or nearly, shape (size,)."""
         lower, upper = self.bounds
         near = 1e-5 * np.maximum(1.0, np.minimum(upper - lower, 1e3))
         return np.asarray((v - lower < near) | (upper - v < near))
@@ -620,11 +616,11 @@ class Linearised(LeastSquares):
         return other
 
     def settled(self, v: Array) -> Array:
-        """Return the optimum v without bounds, shape (size,), by reweighted least squares from v.
+        """Return the optimum without bounds, shape (size,), by at most ten reweighted steps from v.
 
         Source: Huber and Ronchetti 2009.
         """
-        # Reweighting ends where a step gains less than this in cost, after ten steps at most.
+        # Reweighting ends where a step gains less than this in cost.
         for _ in range(10):
             g, H = self.gradient(v)
             step = scaled_solution(H, g)
@@ -648,6 +644,6 @@ class Linearised(LeastSquares):
 def initial_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:
     """Return for each set the standard deviations of a coordinate [m] and an angle [rad].
 
-    They are the declared ones, or else an initial guess.
+    They are the declared ones, or else INITIAL_SIGMA_M and INITIAL_SIGMA_ANGLE_RAD.
     """
     return tuple((m.sigma or INITIAL_SIGMA_M, m.sigma_angle or INITIAL_SIGMA_ANGLE_RAD) for m in sets)

@@ -2,8 +2,8 @@
 
 The fit is repeated in one linear step with all parameters and the first harmonics of each revolute
 joint's error, which no base model has. The residuals may still be correlated between consecutive or
-similar poses: gear errors of higher order, slow drifts. The misfit factor says by how much they
-exceed independent noise in the direction of the parameters.
+similar poses: gear errors of higher order, slow drifts. The misfit factor says by how much their
+variance exceeds that of independent noise in the direction of the parameters.
 """
 
 from collections.abc import Iterator, Sequence
@@ -112,8 +112,8 @@ class WideFit:
     robot : calibrated, with harmonics of zero size
     doubts : parameters with their priors; poses : to which they are fitted
     best : fit with the most probable of REPEATABILITY_RATIOS, equal for all joints
-    misfit : factor by which correlated residuals exceed independent noise along the parameters, at
-        least 1
+    misfit : factor by which the variance of correlated residuals exceeds that of independent noise
+        along the parameters, at least 1
     coordinate_sigma : standard deviation of the residuals of a coordinate [m]
     freedom : degrees of freedom of `coordinate_sigma`
     """
@@ -223,7 +223,8 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
 def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     """Return residuals, Jacobian and log of the product of U's singular values, points removed.
 
-    Residuals and Jacobian are projected on the complement of the columns of U.
+    Residuals and Jacobian are projected on the complement of the columns of U. Singular values that
+    count as zero are not in the product; without points the logarithm is 0.
 
     r, J, U : residuals (n, m), Jacobians by parameters (n, m, k) and by unknown points (n, m, u)
     """
@@ -312,9 +313,9 @@ def _normal_equations(
 def misfit_of(found: Identification) -> float:
     """Return the factor by which an identification's variances are to be multiplied, at least 1.
 
-    It is the harmonic mean, over the directions of the identified parameters, of the variance by
-    the information of `wide_fit` times its misfit, relative to the stated variance. 1 where that
-    fit is impossible.
+    It is the harmonic mean, over the directions of the identified parameters not at a bound, of the
+    ratio of the variance by `wide_fit`, times its misfit, to the stated variance. It is 1 where
+    that fit is impossible.
     """
     try:
         fit = wide_fit(found)
@@ -329,7 +330,7 @@ def misfit_of(found: Identification) -> float:
 
 
 def _misfit_factor(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, variance: Array) -> float:
-    """Return the factor by which residuals of similar poses exceed independent noise, at least 1.
+    """Return the variance factor of residuals of similar poses over independent noise, at least 1.
 
     The scores J'e over parts of the poses, with the residuals e of the fit, are compared with what
     independent noise of variance s2 would give. The largest factor of all partitions is taken, less

@@ -92,7 +92,7 @@ class PlacementProblem:
         """Return whether the measurements alone determine base rotation and tool position well.
 
         That is, with a variance MIN_FREED_VARIANCE_RATIO times smaller than the prior's in every
-        direction, with the errors of a model that is not calibrated yet.
+        direction, with the errors of an uncalibrated model. A fixed tool is not judged.
 
         at : estimate at which the problem is linearised
         """
@@ -201,14 +201,15 @@ TOOL_POSITION_NAMES = ("tool_x", "tool_y", "tool_z")
 def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robot:
     """Return the robot with the unknown parts of its base and tool frames set from measurements.
 
-    For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M =
-    R_B' it is linear in M (9 numbers), M p_B and t: solved by least squares, M projected to a
-    rotation, then refined by Kabsch's method and t in turns. With several tools, base and tool are
-    placed by the one that was measured most, then the others given the base. Where the poses
+    The first set with positions is used, at most MAX_START_POSES with one tool. For each pose y =
+    R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
+    M (9 numbers), M p_B and t: solved by least squares, M projected to a rotation, then refined by
+    Kabsch's method and t in turns. With several tools, base and tool are placed by the one that was
+    measured most, then the others given the base. Where the poses
     determine the base's rotation or the tool badly (lines, one orientation, few poses), the robot
-    file is a prior; likewise with distances to given points. Other kinds do not carry this
-    information; they, and robots whose base is given or is row 1 of the table, are returned
-    unchanged. Source: Kabsch (1976) for the rotation.
+    file is a prior; likewise with distances to given points. Other kinds place the tool alone
+    (`_by_unknown_places`). Robots whose base is given or is row 1 of the table, and with too few
+    measurements, are returned unchanged. Source: Kabsch (1976) for the rotation.
     """
     sets = (m,) if isinstance(m, Measurements) else tuple(m)
     m = next((part for part in sets if part.position is not None), sets[0])
@@ -291,7 +292,8 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
 def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     """Return the robot with the tool position that fits distances or contacts at unknown places.
 
-    The rest of the robot stays nominal. A tool point on the last axis, as in a file without a tool,
+    The rest of the robot stays nominal, all of it where the tool is given, the data are too few, or
+    the solver finds no optimum. A tool point on the last axis, as in a file without a tool,
     is no start: there parameters are confounded or without effect that a point off the axis
     distinguishes.
     """
@@ -360,7 +362,7 @@ def rigid(robot: Robot) -> Robot:
 def median_error(robot: Robot, m: Measurements) -> float:
     """Return the median error [m] over the poses after base and tool are fitted to them.
 
-    It is infinite where the model cannot be evaluated.
+    It is infinite where the model cannot be evaluated. Gross errors have no part in the fit.
     """
     with np.errstate(all="ignore"):
         try:

@@ -17,10 +17,10 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
-# Number of parts, consecutive in the order of rows, in which a table is checked for another unit.
+# Maximum number of parts, consecutive by rows, in which a table is checked for another unit.
 UNIT_CHECK_PARTS = 5
 # Minimum number of poses in a part that is checked for another unit, and for the check whether
-# orientations and positions are in one frame.
+# orientations and positions are in one frame; number of poses in a sample of `gross_errors`.
 MIN_POSES_PER_PART = 6
 # Minimum extent of the computed positions in a part, as a share of the robot's reach, with which
 # the part is checked for another unit.
@@ -113,7 +113,7 @@ def _refuse_payload(robot: Robot, m: Measurements) -> None:
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
-    """Yield a fault for each joint and each of its limits that readings exceed.
+    """Yield a fault for each joint and each of its limits that readings exceed, with an allowance.
 
     A fault lists the rows, the farthest first.
     """
@@ -161,10 +161,11 @@ def gross_errors(robot: Robot, sets: Sequence[Measurements]) -> tuple[tuple[int,
     """Return (set, pose) indices of poses that no fit of base and tool to the others explains.
 
     Base and tool are placed by random samples of a few poses; the sample with the least median
-    error over all poses decides (least median of squares, Rousseeuw 1984). A pose is far off by ten
-    times that median and by `MAX_GROSS_ERROR_OF_REACH`, which no nominal robot reaches. Nothing is
-    judged of several targets or sessions, of other kinds than positions and poses, of too few
-    poses, or where more than 40 % would be far off.
+    error over all poses decides (least median of squares, Rousseeuw 1984), then the poses within
+    five times the median. A pose is far off by ten times the median and by
+    `MAX_GROSS_ERROR_OF_REACH`, which no nominal robot reaches. No pose is returned for several
+    targets or sessions, a given base, and of sets without positions, with too few poses, or where
+    more than 40 % would be far off.
     """
     far: list[tuple[int, int]] = []
     several = bool(robot.targets) or any(isinstance(e, Session) for e in robot.effects)
@@ -246,7 +247,7 @@ def frame_error(robot: Robot, m: Measurements) -> float:
 
 
 def orientation_error(robot: Robot, m: Measurements) -> float:
-    """Return the median angle [rad] between measured and computed orientations over the poses.
+    """Return the median angle [rad] of measured to computed orientations, at MAX_POSES_COMPARED.
 
     Base and tool are rotated to fit where their orientation is unknown (`unknown` = "pose").
     """

@@ -194,7 +194,7 @@ def _short(source: str) -> str:
 def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
     """Return lower and upper end of the error axis [m], and whether it is logarithmic.
 
-    A few large errors do not extend the axis.
+    A few large errors do not extend the axis; a linear one begins at zero.
 
     lengths : errors of each model, shape (n,) each [m]
     """
@@ -209,10 +209,7 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
-    """Return the figure of each model's share of poses [%] with an error below x [mm].
-
-    name, caption : of the figure
-    """
+    """Return the figure of each model's share of poses [%] with an error below x [mm]."""
     share = np.linspace(0, 1, min(201, len(poses) + 1))
     series = [
         Series(
@@ -246,7 +243,7 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
     """Return the 3D figure of the measured points with each model's error vectors.
 
     Points and vectors are in the measuring frame [m]. Each model's vectors are enlarged by its own
-    factor, which the legend states. Measured positions are required.
+    factor, which the legend states; models with a note have none. Measured positions are required.
 
     robot : drawn as a skeleton at one of the poses; None: not drawn
     """
@@ -317,7 +314,7 @@ def image_plane(m: Measurements, robots: Mapping[str, Robot], caption: str = "")
 
 
 def round_factor(factor: float) -> float:
-    """Return the next lower number of the series 1, 2, 5 times a power of ten, at least 1."""
+    """Return the largest of 1, 2, 5, 10, 20, ... that is not above the factor, at least 1."""
     power = 10.0 ** np.floor(np.log10(max(factor, 1.0)))
     return float(max(step * power for step in (1, 2, 5) if step * power <= max(factor, 1.0)))
 

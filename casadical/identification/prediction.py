@@ -43,9 +43,9 @@ def covariance_of_all(
 ) -> tuple[LeastSquares, Array, Array]:
     """Return problem, departures (k,) and covariance (k, k) [SI] of all uncertain parameters.
 
-    These are all k parameters that are uncertain, identified or not. The problem is the
-    solved one with their names, which give the order; departures are from nominal in units of
-    scale.
+    These are the k parameters that were identified, or have a prior width; those at a bound count
+    as not identified. The problem is the solved one with their names, which give the order;
+    departures are from nominal in units of scale.
 
     problem : as it was solved; v : its optimum; variance : of a residual in units of sigma squared
     given : the robot as its file has it, with base and tool where they were assumed to be

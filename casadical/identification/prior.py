@@ -90,7 +90,7 @@ class Prior(Shown):
     def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
         """Return the share of poses (0 to 1) outside of each range on which the prior was learnt.
 
-        The keys are joints ("q1", ...) and logged columns.
+        The keys are joints ("q1", ...) and logged columns that the sets have.
         """
         of = {f"q{j}": (ends, [m.q[:, j - 1] for m in sets]) for j, ends in enumerate(self.knowledge.readings, 1)}
         for name, ends in self.knowledge.conditions.items():
@@ -117,7 +117,7 @@ class Prior(Shown):
     def learnt_from(self, sets: Sequence[Measurements]) -> bool:
         """Return whether the prior seems to have been learnt from these measurements.
 
-        They have the same source and contain its extreme readings.
+        They have a source in common and contain its extreme readings.
         """
         theirs = self.knowledge.readings
         if not len(theirs) or not {m.source for m in sets} & set(self.knowledge.campaign.split(", ")):
@@ -175,9 +175,9 @@ def carry_over(
     other : the same robot as it was identified then, with effects or covariances
     parts : "effects" (those that do not depend on time or warm-up), names or labels of single
         effects, and "all" for geometry and compliance too
-    frozen : whether the values are fixed
-    Raises InputError for another robot, names that are not there, and a result without a
-    covariance.
+    frozen : whether the values are fixed; the prior then has none to identify
+    Raises InputError for another robot, names that are not there, values that are not finite, and,
+    unless frozen, a result without a covariance or with a variance of zero.
     """
     refuse_another(robot, other, "prior")
     effects = _chosen_effects(other, parts)
@@ -231,7 +231,7 @@ def _widened_covariance(
 def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
     """Return the effects of the other robot that `parts` names, in its order.
 
-    parts : as of `carry_over`. Raises InputError for an unknown name, and where there is none.
+    parts : as of `carry_over`. Raises InputError for an unknown name, and for no effect but "all".
     """
     lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
     effects = lasting if {"effects", "all"} & set(parts) else []

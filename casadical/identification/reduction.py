@@ -1,6 +1,6 @@
 """Solving an identification problem: choice of parameters, estimation of noise, and outliers.
 
-Parameters that the measurements do not determine better than their prior are omitted.
+Without priors, parameters that the data determine less accurately than their prior are omitted.
 """
 
 from collections.abc import Collection, Sequence
@@ -79,7 +79,9 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima:
 def _in_camera(
     problem: LeastSquares, solution: Solution, sigmas: tuple[tuple[float, float], ...]
 ) -> tuple[tuple[Measurements, ...], tuple[tuple[float, float], ...]]:
-    """Return the sets and their sigmas with the noise of cameras' poses as the residuals show it.
+    """Return the sets and their sigmas with the noise of camera poses estimated from residuals.
+
+    Sets without such noise, or with too few degrees of freedom, are unchanged.
 
     sigmas : of each set as estimated; declared ones are not changed
     """
@@ -114,7 +116,8 @@ def _residuals_with_redundancies(problem: LeastSquares, solution: Solution) -> l
 def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
     """Return the noise sigmas of each set, of a coordinate [m] and of an angle [rad].
 
-    They are the declared ones, or follow from residuals and their redundancies.
+    They are the declared ones, or follow from residuals and their redundancies; those of the
+    problem are kept where a correlated prior leaves fewer than MIN_NOISE_FREEDOM.
     Source: variance component estimation, Foerstner 1979.
     """
     if all(m.sigma and (m.sigma_angle or not find_kind(m.kind).angles) for m in problem.sets):
@@ -155,9 +158,9 @@ def solve_without_outliers(
 
     Several rounds are needed because outliers enlarge the scatter by which they are judged. A pose
     that the last solution explains after all, because others distorted an earlier one, is taken
-    back. Returns what `reduce_and_solve` returns, and the outliers as (set, pose) indices.
+    back for good. Returns as `reduce_and_solve`, and the outliers as (set, pose) indices.
 
-    rounds : maximum number of rounds; 0 leaves out no pose
+    rounds : maximum number of rounds; 0 leaves out no pose, as the linear loss
     """
     optima: Optima = {}
     solved = _solve_with_sigmas(problem, progress, optima)
@@ -195,7 +198,7 @@ def solve_by_auto(
 
     Returns what `reduce_and_solve` returns, and the outliers as (set, pose) indices.
 
-    rounds : maximum number of rounds in which outliers are excluded
+    rounds : maximum number of rounds in which outliers are excluded; 0: the loss stays linear
     """
     try:
         plain = _solve_with_sigmas(problem, progress, {})
@@ -218,7 +221,7 @@ def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
     solution : with the linear loss
 
     Residuals are linearised about the fit with the linear loss. False where that fit has few data,
-    is at a bound, or has larger residuals than a model may have: the huber loss may then have
+    is at a bound, or has a residual or a scatter that is too large: the huber loss may then have
     another optimum.
     """
     v, (lower, upper) = solution.v, problem.bounds
@@ -251,7 +254,7 @@ def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0)
     A pose is one if the squared norm of its residuals, normalised by redundancy and robust scatter,
     exceeds the bound that noise alone exceeds with OUTLIER_PROBABILITY.
 
-    share : factor on that bound
+    share : factor on that bound of the squared norm
     """
     return [_outliers(*both, share) for both in _residuals_with_redundancies(problem, solution)]
 
@@ -269,8 +272,8 @@ def _outliers(r: Array, freedom: Array, share: float = 1.0) -> Array:
 def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     """Return for each set the indices of the poses whose residuals are no larger than noise.
 
-    Poses that were excluded are tested too: as they have no part in the solution, their residuals
-    are their full errors.
+    The bound is that of `outlier_masks`, for residuals that are not normalised by redundancy: poses
+    that were excluded, for which it is meant, show their full errors.
 
     problem : with all poses; solved : of a part of these poses
     """
@@ -290,8 +293,8 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     ]
 
 
-# Largest standard deviation of a coordinate's residual, as a share of the robot's reach, with which
-# a model is accepted; larger ones are no measuring error.
+# Standard deviation of a coordinate's residual, as a share of the robot's reach, above which the
+# model is wrong: no measuring error is as large.
 MAX_RESIDUAL_OF_REACH = 0.005
 # Maximum number of parameters that an error message names.
 MAX_NAMES_IN_MESSAGE = 6
@@ -302,14 +305,14 @@ def reduce_and_solve(
 ) -> tuple[LeastSquares, Solution, Identifiability]:
     """Choose the independent parameters, solve, and leave out those that the data determine badly.
 
-    These are the ones with an uncertainty larger than their prior. Independence is decided at the
-    start, where exact dependences are exact. A parameter without effect there is added if it has
-    one at the optimum: the compliance of a vertical first axis, once the base is found to be
-    tilted; and, if `weighed`, the tilt of a robot without measurements at rest, which the weight of
-    its links shows.
+    These are the ones with an uncertainty larger than their prior; with `priors` none is left out.
+    Independence is decided at the start, where exact dependences are exact. A parameter without
+    effect there is added if it has one at the optimum: the compliance of a vertical first axis,
+    once the base is found to be tilted; and, if `weighed`, the tilt of a robot without measurements
+    at rest, which the weight of its links shows.
     Returns the reduced problem, its solution, and the verdict on each parameter.
-    Raises InputError where the data determine no parameter at all, or there are no more data than
-    unknowns.
+    Raises InputError where the data determine no parameter at all, or, without priors, are no more
+    than the unknowns; ConvergenceError as of `LeastSquares.solve`.
 
     optima : start points, from the same robot with other sigmas or fewer poses; those found here
         are added
@@ -382,8 +385,8 @@ def _with_visible(
 ) -> tuple[LeastSquares, Array] | None:
     """Return the problem extended by parameters that have an effect only at its optimum v.
 
-    They had none at the start. The point v in the extended problem is returned too; None if there
-    is no such parameter.
+    They had none at the start, or tilt the pedestal of a robot that is `weighed`. The point v in
+    the extended problem is returned too; None if there is no such parameter.
 
     found : verdict on the parameters at the start; order : names of all parameters, in their order
     """
@@ -462,7 +465,8 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     """Return which parameters the data determine, by the Jacobian at v = 0 (nominal values).
 
     Gravity torques are those of the nominal geometry where joints are compliant or the robot has
-    effects. Where nothing determines the scale, the longest length is fixed as its reference.
+    effects. Where nothing determines the scale, the longest length is fixed as its reference. With
+    priors on more than MANY_PARAMETERS, those of effects are not tested: they count as independent.
     Raises InputError, with the row, where the Jacobian is not finite.
     """
     robot, names, p = problem.robot, problem.names, len(problem.names)
@@ -507,7 +511,7 @@ def _length(problem: LeastSquares, name: str) -> float:
 
 
 def _scale_is_free(problem: LeastSquares) -> bool:
-    """Return whether one common factor on all lengths and points leaves the residuals unchanged.
+    """Return whether a common factor on all lengths and points only scales the residuals by it.
 
     Contact residuals p - u are then homogeneous in lengths and points, and by Euler's theorem J
     (lengths, points) = residuals. Compliance violates this by its share of the position, which

@@ -56,9 +56,8 @@ class UncertainParameters:
 def learn_remaining(found: Identification, most: int = MAX_POSES_LEARNT) -> RemainingErrors:
     """Return the remaining errors of a calibrated robot, from the used poses with positions.
 
-    most : maximum number of poses, drawn at random
-    Raises InputError where they are too few, nothing measured a position, or error curves were
-    identified.
+    most : approximate maximum number of poses, drawn at random
+    Raises InputError: fewer than MIN_POSES_WITH_POSITION poses, or error curves were identified.
     """
     sets = [m.positions_alone() for m in found.used if m.position is not None]
     poses = sum(map(len, sets))
@@ -108,7 +107,8 @@ def uncertain_parameters_of(robot: Robot, solved: Sequence[str]) -> UncertainPar
 def residuals_and_jacobian(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]) -> tuple[Array, Array]:
     """Return position residuals of all sets, shape (n, 3) [mm], and their Jacobian, (n, 3, k).
 
-    Residuals are in the measuring frame; the Jacobian is in mm per unit of a parameter's scale.
+    Residuals are computed minus measured positions in the measuring frame, times the root of the
+    pose's weight; the Jacobian is in mm per unit of a parameter's scale.
 
     sets : measurements of the poses, n in all; names : the k parameters
     """

@@ -61,8 +61,8 @@ class PoseFunctions:
 
     kind : of the measurement; point : whether z ends with an unknown point
     fixed_loads : whether gravity torques are those of the nominal geometry
-    residual : function of the residual r, shape (m,), in units of sigma, without the loss, and the
-        transpose of its Jacobian by z, shape (z, m)
+    residual : function of the residual r, shape (m,), in units of sigma, times the root of the
+        pose's weight, without the loss, and the transpose of its Jacobian by z, shape (z, m)
     observed : names of the measured arrays in a pose's data, in their order
     """
 
@@ -116,9 +116,9 @@ class RigidPositions(PoseFunctions):
         self._chain = rigid_chain(kinds, robot.parameters.names, chosen)
 
     def _evaluated(self, derivatives: bool, points: Array, shared: Array) -> list[Array]:
-        """Return the residual, shape (3, n), and the transposed Jacobian, (z, 3 n), or (0, 3 n).
+        """Return the residual, shape (3, n), and the transposed Jacobian, (z, 3 n), in sigmas.
 
-        derivatives : whether the Jacobian is computed
+        derivatives : whether the Jacobian is computed; if not, its shape is (0, 3 n)
         points, shared : inputs of n poses and of all, as of `PoseFunctions`, shapes (k, n) and (l,)
         """
         chain, free = self._chain, len(self._chain.chosen)
@@ -137,7 +137,7 @@ _kernel = lru_cache(maxsize=64)(PoseFunctions)
 def kernel(
     robot: Robot, kind: MeasurementKind, point: bool, names: tuple[str, ...], fixed_loads: bool = False
 ) -> PoseFunctions:
-    """Return the residual and Jacobian functions of one pose of a kind of measurement, cached.
+    """Return the residual and Jacobian functions of one pose of a kind of measurement.
 
     point : whether the pose has an unknown point
     names : free parameters of the robot, by which Jacobians are taken
@@ -165,7 +165,7 @@ def data_columns(
 ) -> Array:
     """Return a kernel's inputs that differ between poses, shape (numbers, n), a column per pose.
 
-    These are readings, conditions, measured arrays, 1/sigma and the root of the pose's weight.
+    These are joint readings, conditions, measured arrays, 1/sigma and the root of a pose's weight.
 
     observed : names of the measured arrays, as of the kernel
     points : initial position of each pose's unknown point in the measuring frame, shape (n, 3) [m]
@@ -185,7 +185,7 @@ class Block:
 
     kernel : residual and Jacobian functions of a pose
     data : slice of k poses -> the kernel's inputs that differ between poses, shape (numbers, k)
-    group : index of each pose's point among all unknown points, shape (n,)
+    group : index of each pose's point among all unknown points, shape (n,); zeros without any
     robot : the kernel's inputs that all poses share, except x, see `robot_numbers`
     """
 

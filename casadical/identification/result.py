@@ -50,8 +50,8 @@ PRIOR_ONLY_REASON = "as the prior has it; these poses tell no more of it"
 class LeftOut:
     """A pose that was excluded as an outlier.
 
-    source : its table; row : its row there; error : position error of the calibrated model at it
-        [m]
+    source : its table; row : its row there; error : of the calibrated model at it, see
+        `accuracy.errors` [m]
     column : the one coordinate or reading whose change explains it ("z", "q3"), else ""
     """
 
@@ -62,7 +62,7 @@ class LeftOut:
 
 
 def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()) -> str:
-    """Return row numbers of outliers with their errors [mm] as text, with several files' names.
+    """Return row numbers of outliers with errors [mm] as text, with file names if several.
 
     most : maximum number of rows that are listed; of the others the number is given
     of : names of all files from which they could be
@@ -302,7 +302,7 @@ class Identification(Result):
         return [LeftOut(m.source, int(m.row[i]), float(e[i]), columns[i]) for i in poses]
 
     def _noise_of(self, m: Measurements) -> tuple[float, float]:
-        """Return the noise of a coordinate [m] and of an angle [rad] of the table of m."""
+        """Return noise of coordinate [m] and angle [rad] of m's table; largest if not fitted."""
         own = (s for s, fitted in zip(self.sigmas, self.measurements, strict=True) if fitted.source == m.source)
         return next(own, max(self.sigmas))
 
@@ -310,9 +310,9 @@ class Identification(Result):
         """Return poses that were not fitted without those that this model calls outliers, and these.
 
         The bound is that of fitted poses (`outlier_masks`): noise alone exceeds it with
-        OUTLIER_PROBABILITY. Noise is that of the fit or of these poses, whichever is larger, and the
-        uncertainty of the prediction widens it. Where more than a fifth would be outliers, none is:
-        then the model errs, not the rows.
+        OUTLIER_PROBABILITY. Noise is that of the fit or of these poses, whichever is larger; the
+        uncertainty of a predicted position widens it. Where more than a fifth, and more than one,
+        would be outliers, none is: then the model errs, not the rows.
         """
         out = np.zeros(len(m), dtype=bool)
         numbers = find_kind(m.kind).lengths
@@ -356,8 +356,9 @@ class Identification(Result):
         """A row per parameter, with its estimate, 95 % interval and status.
 
         The columns are name, group, nominal, value, std_error, low, high (95 %), unit, status
-        (identified, at bound, not identifiable, held), reason; values are in `unit` (mm, deg, ...).
-        Where an identified one has the standard error of its prior, the reason says so.
+        (identified, at bound, not identifiable, held), reason; values are in `unit` (mm, deg, ...),
+        errors and interval NaN unless identified. Where an identified one has the standard error of
+        its prior, the reason says so.
         """
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
         reasons = {u.name: u.reason for u in self.identifiability.unidentifiable}
@@ -455,7 +456,8 @@ class Identification(Result):
     def placed(self) -> Robot:
         """The given robot with only its base and tool frames fitted to the used poses.
 
-        It is the robot "before calibration" with which the calibrated one is compared.
+        It is the robot "before calibration" with which the calibrated one is compared; `start`
+        where these poses do not determine the frames.
         """
         return self._placed[0]
 
@@ -484,8 +486,8 @@ class Identification(Result):
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
         """Return whether no step within the bounds lowers the cost, recomputed from the data.
 
-        tolerance : reduction of the cost (half of chi-squared) up to which a Gauss-Newton step does
-            not count; 1e-4 is about 1 % of a standard error
+        tolerance : reduction of the cost (half of chi-squared) below which a Gauss-Newton step does
+            not count, per variance; 1e-4 is about 1 % of a standard error; with guesses 0.01
         """
         if self.problem.guesses.any():
             tolerance = max(tolerance, 2 * SETTLED_COST_GAIN)

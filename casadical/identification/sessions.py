@@ -18,7 +18,7 @@ from casadical.robot.robot import Robot
 
 # Prefix of the columns that state whether a pose belongs to a session: 1 if it does, else 0.
 SESSION_PREFIX = "session_"
-# Minimum number of poses of a session with its own base and tool.
+# Minimum number of poses of each session where every one has a base of its own.
 MIN_SESSION_POSES = 6
 
 
@@ -31,7 +31,7 @@ def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
 def split_by_session(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """Return the sets with every set of several sessions split into one set for each of them.
 
-    In a resulting set base and tool are the same at all poses.
+    In a resulting set base and tool are the same at all poses; poses of no session are left out.
     """
     alone = []
     for m in sets:
@@ -45,8 +45,8 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
 
     The labels name groups of parameters that are to be identified. The robot is unchanged where it
     already has such effects, the sets have fewer than two sessions, or sessions share all.
-    Raises InputError where a table does not state its session and others do, and for a session with
-    too few poses.
+    Raises InputError where a table does not state its session and others do, and for fewer than
+    MIN_SESSION_POSES poses of a session where each has a base of its own.
     """
     labels = tuple(e.label for e in robot.effects if isinstance(e, Session))
     names = sessions_in(sets)
@@ -80,9 +80,9 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
 def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     """Return the robot with initial base and tool frames, and those of sessions, fitted to the sets.
 
-    The robot's own frames are fitted by `place_frames` to positions outside of the sessions, or to
-    all sets without such. Each session with a base of its own and measured positions gets this base
-    and, where that is its own too, its tool point; other sessions keep their values.
+    The robot's own frames are fitted by `place_frames` to the first set with positions outside of
+    the sessions, or to all sets without such. Each session with a base of its own and measured
+    positions gets this base and, where that is its own too, its tool point; others keep theirs.
     """
     sessions = [e for e in robot.effects if isinstance(e, Session)]
     if not sessions:
@@ -109,7 +109,7 @@ def not_shared(sets: Sequence[Measurements]) -> str:
     """Return the end of a sentence "they cannot ..." on sessions without a pose in common.
 
     It states what they cannot distinguish, with a remedy; it is empty where every further session
-    repeats a pose of the first one, or there is only one session.
+    repeats a pose of the first one, or there are fewer than two sessions.
     """
     names = sessions_in(sets)
     if len(names) < 2:
@@ -130,9 +130,9 @@ def not_shared(sets: Sequence[Measurements]) -> str:
 
 
 def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
-    """Return poses of the first set that has measured positions in these sessions.
+    """Return the poses in any of these sessions of the first position set that has such; else None.
 
-    inside : False takes the poses that are in none of the sessions. None without any.
+    inside : False takes the poses that are in none of the sessions
     """
     for m in (m for m in sets if m.position is not None):
         flags = sum((m.conditions.get(e.column, np.zeros(len(m))) for e in sessions), np.zeros(len(m)))
@@ -142,8 +142,5 @@ def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], 
 
 
 def _values_of_session(effect: Session, names: Sequence[str], values: Array) -> dict[str, float]:
-    """Return a session's parameters, full name ("label.name") -> value [SI].
-
-    names : without label; values : in their order
-    """
+    """Return a session's parameters, "label.name" -> value [SI]; `names` are without the label."""
     return {f"{effect.label}.{name}": float(v) for name, v in zip(names, values, strict=True)}

@@ -236,7 +236,7 @@ class _Solver:
         return cost / self.scale, gradient / self.scale
 
     def _hessian(self, v: Array, _: Array, factor: Array, __: Array) -> Sequence[Array | float]:
-        """Return the Hessian's lower triangle at v, divided by `scale`, times Ipopt's factor."""
+        """Return the Hessian's lower triangle at v, flat, times Ipopt's factor over `scale`."""
         return (self.gradient(v)[1][self._lower] * (factor[0] / self.scale),)
 
 
@@ -262,7 +262,7 @@ def minimise(
     progress: Progress | None = None,
     settled: Callable[[Array], bool] | None = None,
 ) -> Solution:
-    """Minimise a sum of squares within bounds.
+    """Return the minimum of a sum of squares within bounds, by at most 200 iterations.
 
     cost : variables v, shape (size,) -> half the sum of squares
     gradient : v -> gradient and Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
@@ -294,7 +294,8 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
     """Return the step that minimises a quadratic cost within bounds, shape (size,).
 
     The active set method fixes variables at bounds that they would violate and releases those that
-    the cost draws back (Portugal, Judice and Vicente 1994).
+    the cost draws back (Portugal, Judice and Vicente 1994). The best step within bounds after 60
+    updates at most is returned, zero where none lowers the cost.
 
     g, H : gradient (size,) and Hessian (size, size) of the cost
     lower, upper : bounds of the step, shape (size,)
@@ -335,7 +336,7 @@ class Sums:
     information : J'WJ with the loss weights W, shape (size, size)
     square : sum of the squared residuals, without the loss [sigma^2]
     residuals : of every set, shape (n, m) [sigma]; None if they are too many to be cached
-    triangle : triangular factor of J, without the loss, shape (size, size); None if not requested
+    triangle : triangular factor of J, without the loss, (size, size) or fewer rows; None: not asked
     """
 
     cost: float
@@ -346,7 +347,7 @@ class Sums:
     triangle: Array | None = None
 
     def for_variables(self, columns: Sequence[int]) -> "Sums":
-        """Return cost, gradient and information of some of the variables, the others fixed.
+        """Return the sums for some of the variables, the others fixed, without the triangle.
 
         columns : indices of these variables
         """
