@@ -169,7 +169,7 @@ def robot_model(
 
 
 def calibrated(folder: Path) -> Calibration:
-    """Return the calibration of a problem folder by its last method, or raise CasadicalError."""
+    """Return the calibration of a problem folder by its last method. Raises CasadicalError."""
     problem = read_problem(folder)
     return calibrate(problem, method=problem.methods[-1])
 

@@ -428,7 +428,7 @@ def plan_touches(
     touched : touches of today, to which these are added
     seed : random seed of the search
     Returns a table with one row per touch: readings of the joints and predicted position
-    Raises InputError.
+    Raises InputError: a file cannot be used, or the workspace allows too few poses.
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
     rest = MM_PER_M * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0

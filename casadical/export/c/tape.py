@@ -214,7 +214,7 @@ def tape_of(function: casadi.Function) -> Tape:
     inputs = iter([builder.add("input", value=float(k)) for k in range(sum(sizes))])
 
     def operation(name: str, *args: int) -> int:
-        """Return the node index of a result, or raise InputError if the C lacks the operation."""
+        """Return the node index of a result. Raises InputError if the C lacks the operation."""
         node = builder.operation(name, *args)
         if node is None:
             allowed = ", ".join(sorted({*_EQUAL_OPERATIONS.values(), *_COMPOSED_OPERATIONS}))

@@ -68,6 +68,7 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
         raise InputError(f"{folder}: holds no correction of a command; export with --what command")
 
     def rows(function: str, q: Array) -> tuple[Array, Array]:
+        """Return values of an exported function at joints q as doubles, and statuses."""
         values, status = kernel.rows(function, q)
         return np.asarray(values, dtype=float), status
 

@@ -195,6 +195,7 @@ def replay_in_words(robot: Robot, text: str, log: JointLog | None = None) -> str
     own, unit = response_of(robot).predicted(run), "mrad" if all(robot.revolute) else "mrad or mm"
 
     def rms(error: Array) -> str:
+        """Return the rms of errors, NaN excluded, as text in thousandths of their unit."""
         return f"{1e3 * float(np.sqrt(np.nanmean(error**2))):.3g}"
 
     if log is None:

@@ -136,7 +136,7 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
 def replay_campaign(
     robot: Robot, m: Measurements, effects: EffectChoice = "standard", *, seed: int = 0, show: Show = silent
 ) -> Replay:
-    """Identify and diagnose a robot from part of a campaign, and replay the other poses in MuJoCo.
+    """Return the replay in MuJoCo of part of a campaign, by models found from its other poses.
 
     robot : nominal robot, as of `diagnose`
     m : measured positions of the campaign
@@ -161,7 +161,7 @@ def replay_campaign(
 
 
 def replay_diagnosis(found: Diagnosis) -> Replay:
-    """Replay a diagnosed campaign, with all values identified again from part of the poses.
+    """Return the replay of a diagnosed campaign, values identified again from part of its poses.
 
     Outliers are excluded. The replayed poses do not enter the fit of the values, though they did
     enter the noise and the choice of the causes; `replay_campaign` excludes them from these, too.
@@ -178,6 +178,7 @@ def replay_diagnosis(found: Diagnosis) -> Replay:
     fitted = np.isin(numbered.row, parts["identify"].row)
 
     def with_causes() -> Robot:
+        """Return the robot with the diagnosed causes, fitted again to the fitted poses."""
         return refit(case, found.effects(), found.noise, fitted).robot
 
     return Replay(m.source, robot.name, _stages(robot, m[fitted], parts["report"], found, with_causes), found)

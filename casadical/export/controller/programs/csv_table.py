@@ -68,11 +68,11 @@ class CsvTable(ProgramLanguage):
         return csv_text(rows).encode()
 
     def matrix(self, values: Array) -> NoReturn:
-        """Refuse a pose, as a table holds none. Raises InputError."""
+        """Refuse numbers of a pose. Raises InputError, as a table holds none."""
         raise InputError(f"a CSV holds {self.pose}")
 
     def values(self, T: Array, like: Array) -> NoReturn:
-        """Refuse a pose, as a table holds none. Raises InputError."""
+        """Refuse a pose. Raises InputError, as a table holds none."""
         raise InputError(f"a CSV holds {self.pose}")
 
 

@@ -32,7 +32,7 @@ class ProgramLanguage(ABC):
     report_beside: ClassVar[bool] = True
 
     def decoded(self, source: str, content: bytes) -> str:
-        """Return a program's bytes as text, one character for each, or raise InputError."""
+        """Return a program's bytes as text, one character each. Raises InputError as `text_of`."""
         return text_of(source, content)
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
@@ -88,7 +88,7 @@ class ProgramLanguage(ABC):
         return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """Return lines of a slow motion to joints [deg or mm]; InputError if there are none."""
+        """Return lines of a slow motion to joints [deg or mm]. Raises InputError without any."""
         raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
 
     def frame(self, where: str, values: Array) -> Array:

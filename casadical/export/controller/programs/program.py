@@ -158,7 +158,7 @@ class CorrectedProgram(Result):
 
 
 def language_named(word: str) -> ProgramLanguage:
-    """Return the first language with this word in its class name or suffix, or raise InputError."""
+    """Return the first language of this suffix or word in its class name. Raises InputError."""
     for kind in PROGRAM_LANGUAGES:
         if word.lower() in kind.__name__.lower() or f".{word.lower()}" in kind.suffixes:
             return kind()
@@ -216,7 +216,7 @@ def report_of(path: Path) -> Path:
 
 
 def _refuse_corrected(path: Path, targets: list[Target]) -> None:
-    """Raise InputError if a target was corrected before, by the report next to the program."""
+    """Check that no target was corrected before, by the report next to it. Raises InputError."""
     if not report_of(path).exists():
         return
     rows = csv.DictReader(io.StringIO(read_bytes(report_of(path)).decode("utf-8", "replace")))
