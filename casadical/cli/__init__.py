@@ -1,7 +1,7 @@
 """The command line: casadical COMMAND PROBLEM_DIR.
 
 Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than before; 5 no longer
-valid; 70 a bug in casadical.
+valid; 70 a bug in casadical; 130 interrupted.
 """
 
 import sys

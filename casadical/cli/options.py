@@ -251,7 +251,8 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
     """Return name of a result -> problem folder or robot file, and the tables given after it.
 
     paths : as typed, tables after their folder or file. The name is that of the first table, else
-    of the folder. Raises InputError for tables without a robot, and for a name given twice.
+    of the folder. Raises InputError for tables without a robot, a robot file without tables, and a
+    name given twice.
     """
     given: list[tuple[Path, list[Path]]] = []
     for path in map(robot_of, paths):

@@ -1,4 +1,4 @@
-"""Protection of files: a command's outputs are checked and claimed before it works.
+"""Protection of files: a command's outputs are checked, its folders claimed, before it works.
 
 An output must be no input, no file of others, no name that is given twice, and nothing that another
 command writes at the same time.
@@ -20,9 +20,9 @@ from casadical.core.reading import load_toml, number_fault, read_bytes, text_fau
 
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
-    """Return a command that first checks its arguments and claims the files that it will write.
+    """Return a command that first checks its arguments and claims the folders that it will write.
 
-    Its InputErrors are joined with the faults of all its input files.
+    Its InputErrors are joined with the faults of its input files (see `every_fault`).
 
     command : function with the parameters of the command line
     also : names of parameters that are outputs of this command alone
@@ -35,7 +35,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
     @wraps(command)
     def run(**given: Any) -> Any:
-        """Check and claim the outputs, then run the command with the given parameters."""
+        """Check the outputs, claim their folders, then run the command with its parameters."""
         _refuse_unusable(given, outputs)
         paths = {name: value for name, value in given.items() if isinstance(value, Path)}
         inputs = [path for name, path in paths.items() if name not in outputs]
@@ -193,8 +193,8 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
 def _is_output(path: Path, text: str) -> bool:
     """Return whether a file may be replaced as an earlier output of casadical.
 
-    JSON is recognised by its keys, other text by the word casadical. Any CSV with several columns
-    counts as an output unless it has measured positions.
+    JSON is recognised by its keys, other text by the word casadical. A PNG, and a CSV with several
+    columns, counts as an output unless the latter has measured positions.
 
     text : content of the file
     """

@@ -151,7 +151,7 @@ def suggest(console: Console, purpose: str, command: str, *arguments: object) ->
 def suggest_later(console: Console, robot: Path) -> None:
     """Print the command for a robot file and poses that are measured on a later day.
 
-    It is `verify` if the file's folder has results that state an accuracy, else `calibrate`.
+    It is `verify` if result.json is next to the file, else `calibrate`.
     """
     if (robot.parent / "result.json").exists():
         suggest(console, "when some ten poses were measured again", "verify", robot, "LATER.csv")
@@ -209,7 +209,7 @@ _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Run the block, which imports modules, without garbage collection, and exempt its objects."""
+    """Run a block of imports without garbage collection, from which its objects then stay exempt."""
     gc.disable()
     try:
         yield
@@ -247,7 +247,7 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
 
 
 def share(text: str, steps: Steps) -> float:
-    """Return the share of the work that is done when a step begins, 0 to 1; 0: unknown.
+    """Return the share of the work that is done when a step begins, 0 to 1; 0 if unknown.
 
     text : words of the step; steps : beginning of such words -> share at which the step begins
     """

@@ -58,14 +58,14 @@ class Calibration(Result):
     """The result of a calibration: identified robots, their accuracies, trained networks.
 
     problem : the calibrated problem with its measurements
-    identifications : identifications by method (KM, SKCM), in the order of the problem's methods;
-        the last one is the result
+    identifications : identifications by method (KM, SKCM); the last one is the result; SKCM is
+        absent where an undeclared compliance does not show in the data (see `_identified`)
     accuracies : error statistics by method, by set (of several tables SET/KIND over all tables of
         the kind, and SET/KIND/FILE of each of them), by state: "nominal", "placed" (base and tool
         fitted), "calibrated"
     networks : networks trained on the residual of SKCM, None where the problem lists none
     without_prior : accuracy of the last method on the held-out poses if identified without the
-        prior; None if there is no prior
+        prior; None without a prior, held-out poses or enough poses
     refitted : by method, identifications from all poses of the tables, which are written where the
         problem says so (`refit`); accuracies, figures and sentences are of `identifications`, which
         have not seen the held-out poses
@@ -150,7 +150,7 @@ class Calibration(Result):
 
     @cached_property
     def arm_or_camera(self) -> ArmOrCamera | None:
-        """Return which of arm and camera is wrong by all fitted poses; None where no camera measured them."""
+        """Return `corrected`, else which of arm and camera is wrong by the written fit, or None."""
         return self.corrected or arm_or_camera(list(self.written.values())[-1])
 
     @property
@@ -187,10 +187,7 @@ class Calibration(Result):
         return self._report_blocks(brief=False)
 
     def _report_blocks(self, **more: Any) -> list[Block]:
-        """Return the blocks of the report, filled into calibration.j2.
-
-        more : further values of the template, such as `brief`
-        """
+        """Return the blocks of the report, by calibration.j2; more : its further values."""
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [
             fit_quality(last),
@@ -255,8 +252,8 @@ class Calibration(Result):
     def _method(self, method: str) -> dict[str, Any]:
         """Return a method's results for JSON: the keys of its identification, and `sets`.
 
-        `sets` has for each set the errors after and before, and the held-out rows that are in none
-        of them.
+        `sets` has for each set the errors after and before, and, of sets that were not fitted, the
+        outliers, which are in none of the errors.
         """
         by_set = outcome.outliers_by_set(self.problem, self.identification)
         out = {name: rows for name, (_, rows) in by_set.items()}
@@ -293,7 +290,8 @@ class Calibration(Result):
     def files(self, folder: str | Path) -> dict[Path, str | bytes]:
         """Return path -> text of the files in a folder of results.
 
-        They are result.json, robots and parameters by method, compensators, and those of `hand_eye`.
+        They are result.json, by method the robot (also as URDF if it was one) and parameters,
+        compensators, and hand-eye transforms where a camera measured poses.
         """
         folder, problem = Path(folder), self.problem
         texts: dict[Path, str | bytes] = {folder / "result.json": json_text(self.to_json())}
@@ -355,11 +353,11 @@ def calibrate(
     method : method in place of the problem's own; a network method needs SKCM, which is then
         identified too
     loss : loss in place of the problem's own
-    seed : seed of the split into sets and of the networks; for a folder only
-    carried : function that puts the prior of another campaign into the robot, as `carry_over` does;
-        for a folder only
+    seed : seed of the split into sets and of the networks; refused, as are `tables` and `carried`,
+        where `problem` is a `Problem`
+    carried : function that puts the prior of another campaign into the robot, as `carry_over` does
     show : called with each line of progress
-    Raises InputError: a file of the problem is not usable, or a method does not exist;
+    Raises InputError: a file of the problem is not usable, a method or loss does not exist;
         ConvergenceError: Ipopt finds no optimum of a method.
 
     Examples
@@ -418,7 +416,7 @@ def calibrate(
 
 
 def _without_camera_errors(problem: Problem) -> tuple[Problem, ArmOrCamera | None]:
-    """Return the problem without errors of its camera that are sure, and the answer that found them; None without."""
+    """Return the problem without its camera's sure errors, and what found them; or it and None."""
     sets = problem.sets["identify"]
     if len(sets) > 1 or not sets[0].camera or "camera_errors" in problem.tables[0]:
         return problem, None
@@ -448,9 +446,9 @@ def _refitted(problem: Problem, results: Mapping[str, Identification], show: Sho
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
     """Return the identification by each method; the last one decides on outliers and compliance.
 
-    An undeclared compliance that does not show in the data is no method of its own, unless networks
-    learn its residual. Where the written robots are fitted to all poses, all poses decide whether
-    it shows.
+    Without a declared compliance that shows in the data, SKCM is omitted if another method is left
+    and no networks learn its residual. If the written robots are fitted to all poses, it is enough
+    that all poses show it.
 
     count : number of parts of the work, for the progress
     """
@@ -493,7 +491,8 @@ def accuracy_without_prior(
 ) -> Accuracy | None:
     """Return the last method's accuracy on held-out poses if identified without the prior.
 
-    None where nothing was held out, or the poses are too few without a prior.
+    They are those of the first kind of measurement. None where nothing was held out, or the poses
+    are too few without a prior.
 
     plain : problem without the prior; results : identifications with it, by method
     used : poses that are judged, by set

@@ -50,8 +50,7 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:  # diagnoses take a third of the time of all imports
     from casadical.diagnosis.localisation import Localisation
 
-# Maximum number of poses from which the residual error is localised, drawn at random, to bound the
-# time.
+# Maximum number of poses from which the residual error is localised; of more, so many are drawn.
 MAX_LOCALISED_POSES = 5_000
 # Styles (colour, symbol, dash) of the network methods in figures, in the order of their trainers;
 # they repeat if there are many plug-ins.
@@ -69,9 +68,9 @@ Identifications = Mapping[str, Identification]
 
 
 def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
-    """Return set -> its measurements, without the outliers of any method or, held out, of the last.
+    """Return set, named as in `Problem.parts`, -> its measurements without outliers.
 
-    Sets are named as in `Problem.parts`.
+    In fitted sets they are the outliers of all methods, in the others those of the last method.
     """
     inliers = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
     fitted = {name: next(inliers) for name, _ in problem.parts() if name.split("/")[0] == "identify"}
@@ -80,7 +79,7 @@ def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurem
 
 
 def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
-    """Return set -> errors at its poses of the placed robot, each method and each network.
+    """Return set -> its errors before (base and tool fitted), by each method and each network.
 
     The poses are those on which all methods are judged; outliers are listed apart. Refused networks
     are included as they were trained, marked as refused.
@@ -102,7 +101,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
 def _models(
     m: Measurements, problem: Problem, results: Identifications, networks: Networks | None
 ) -> Iterator[ModelErrors]:
-    """Yield the errors at the poses m of the placed nominal robot, each method and each network."""
+    """Yield the errors at the poses m: nominal robot, base and tool fitted; methods; networks."""
     yield _errors_of("before", list(results.values())[-1].placed, m)
     for method, result in results.items():
         yield _errors_of(method, result.robot, m)
@@ -132,7 +131,7 @@ def network_style(method: str) -> Style:
 
 
 def residual_localisation(result: Identification) -> Localisation | None:
-    """Return where the residual error is localised; None unless one set of positions was fitted."""
+    """Return the residual error's localisation; None unless one table of positions was fitted."""
     from casadical.diagnosis.linear_problem import make_case
     from casadical.diagnosis.localisation import localise_residual
 
@@ -336,7 +335,7 @@ def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[B
 
 
 def _next(problem: Problem, result: Identification) -> Iterator[Words]:
-    """Yield which parameters are uncertain, and the command that plans further poses."""
+    """Yield which parameters' intervals include the nominal value, and the command for a plan."""
     identified = result.shown[result.shown.status == "identified"]
     unsure = identified[(identified.low - identified.nominal) * (identified.high - identified.nominal) < 0]
     if len(unsure):

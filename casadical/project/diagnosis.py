@@ -92,7 +92,7 @@ class Campaign:
 
     @property
     def name(self) -> str:
-        """Return the name of the results: that of the first table."""
+        """Return the name of the results: that of the first table, without its ending."""
         return self.tables[0].stem if self.tables else self.sets[0].source
 
     @property
@@ -101,10 +101,7 @@ class Campaign:
         return f"{', '.join(path.stem for path in self.tables) or self.name} ({self.robot.name})"
 
     def workspace(self, room: Path | None) -> Workspace | None:
-        """Return the workspace that the file `room` describes; None without a file.
-
-        Raises InputError.
-        """
+        """Return the workspace that the file `room` describes, or None. Raises InputError."""
         return read_workspace(room, self.robot) if room else None
 
 
@@ -203,7 +200,7 @@ class CampaignDiagnosis(Result):
         return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._details_without_laws)]
 
     def next_command(self, typed: Sequence[str], problem: Path, tables: Sequence[Path] = ()) -> Words:
-        """Return the command to run next: to keep what was found, or for poses that decide more.
+        """Return the command to run next: keep what was found, calibrate, or plan decisive poses.
 
         typed : arguments of the command that made this diagnosis
         problem, tables : what was diagnosed, as it was given
@@ -234,7 +231,7 @@ class CampaignDiagnosis(Result):
 
     @property
     def _tables(self) -> list[dict[str, Any]]:
-        """How the tables of the campaign's folder are interpreted (see `DataTable.interpretation`)."""
+        """Return how the folder's tables are read, by JSON keys (`DataTable.interpretation`)."""
         return [table.interpretation for table in tables_of(self.campaign.folder)]
 
     def to_json(self) -> dict[str, Any]:
@@ -246,7 +243,7 @@ class CampaignDiagnosis(Result):
         return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
     def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str | bytes]:
-        """Return path -> text of the result files: robot file with the causes, answer in JSON.
+        """Return path -> content: robot file with the causes, JSON, and files of `searched`.
 
         unlisted : whether the description of an unknown cause is one of them
         """
@@ -256,7 +253,7 @@ class CampaignDiagnosis(Result):
 
 
 def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
-    """Return the diagnosis of a campaign, as the command, fleets, replays and exports make it.
+    """Return the diagnosis of a campaign, without `details`.
 
     options : None: the default ones; show : called with each line of progress
     Raises InputError.
@@ -300,10 +297,7 @@ class LogCampaign:
         return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
 
     def diagnosed(self, show: Show = silent) -> LogDiagnosis:
-        """Return the diagnosis of all logs: causes of differences to the model (`diagnose_log`).
-
-        Raises InputError.
-        """
+        """Return the diagnosis of all `logs` together (`diagnose_log`). Raises InputError."""
         logs = joined([self.log(path) for path in self.logs])
         if len(self.logs) > 1:
             logs = replace(logs, findings=tuple(found_in(logs)))
@@ -387,9 +381,9 @@ def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> Isolability:
-    """Return which effects could be detected and isolated at a campaign's poses, before any data.
+    """Return which effects could be detected and isolated at a campaign's poses.
 
-    campaign : of one table; effects : candidate causes
+    campaign : of one table, of which the poses alone count; effects : candidate causes
     """
     (m,) = campaign.sets
     return isolability(campaign.robot, m, effects)

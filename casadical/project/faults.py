@@ -33,7 +33,8 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     error : the error
     paths : problem folders, robot files and tables; joint logs, and tables that take long to read,
         are not checked
-    later : whether rows with a cell that is no number are removed from tables
+    later : whether rows with a cell that is no number are removed from given tables, and a folder's
+        own tables are checked even if tables were given
     """
     collected, given = _Collected([error]), list(paths)
     # Files with these endings are tables; all others are robot files or problem folders.
@@ -153,7 +154,7 @@ def _check_given_table(source: Path, table: Path, robot: Robot | None, joints: S
 
 
 def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
-    """Check a table's cells and, with a robot, its readings' ranges. Raises InputError.
+    """Check cells of a table of up to 4 MB and, with a robot, ranges of joints. Raises InputError.
 
     data : its [[measurements]]; joints : kind of each joint
     later : whether rows with a cell that is no number are omitted

@@ -42,7 +42,7 @@ class HandEye(Shown):
     nominal: bool = False
 
     def in_words(self) -> str:
-        """Return the camera's place as a sentence [mm], with the errors that it includes."""
+        """Return the camera's place as a sentence [mm]; the calibrated one names errors in it."""
         x, y, z = (f"{1e3 * v:.2f}" for v in self.T[:3, 3])
         sure = ""
         if self.std_errors is not None:
@@ -79,7 +79,7 @@ class HandEye(Shown):
 def hand_eye_of(found: Identification, *, nominal: bool = False) -> HandEye | None:
     """Return the hand-eye transform of an identification, or None.
 
-    None where no camera measured poses, or the base was given.
+    None where no camera measured poses, or the pose of the base is not identified.
 
     nominal : whether it is for the nominal arm, with base and tool alone fitted
     """

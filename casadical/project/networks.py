@@ -24,9 +24,8 @@ class NetworkResult:
     method : name of the network method
     compensator : trained network, None where there was nothing to train on
     why : reason why there is no compensator
-    errors : set -> statistics of the corrected positions' errors [m]; those of SKCM where the
-        network was refused, as nothing is corrected then (with it: `compensator.training`,
-        `.choice`, `.validation`)
+    errors : set -> statistics of the corrected positions' errors [m], {} without a network; those
+        of SKCM where it was refused, as nothing is corrected then (with it: `as_trained`)
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -83,8 +82,8 @@ class Networks:
 class Material:
     """Training data of the networks.
 
-    sets : set (train, choose, report) -> joint readings (n, joints) [rad or m] and position
-        residuals of SKCM (n, 3) [mm]
+    sets : set (identify, train, choose, report) -> joint variables (n, joints) [rad or m] and
+        position residuals of SKCM (n, 3) [mm]
     lent : sentence on identification poses that serve as train and choose, empty if none do
     """
 
@@ -104,8 +103,9 @@ def train_networks(
 
     SKCM is the paper's joint identification of geometry and compliance. The set train is fitted,
     the set choose decides on acceptance (without it cross-validation in train). Without a set
-    train, separate parts of the identification poses serve as both; where they are too few, or no
-    positions were measured, no network is trained and the results state why.
+    train, separate parts of the first table's identification poses serve as both. Where they are
+    too few, or no positions were measured or held out, no network is trained and the results state
+    why.
 
     result : identification by SKCM; methods : network methods, None: all
     seed : of the split of identification poses and of the training

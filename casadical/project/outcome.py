@@ -91,7 +91,7 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
             continue
         states = last[name]
         turned = states["placed"].turn is not None
-        # Beside two more columns the label has to fit a line.
+        # With the two columns of orientations the label has to be shorter.
         rows = [("before, frames fitted" if turned else "before, base and tool fitted", states["placed"])]
         # Nominal errors this many times larger than those with base and tool fitted only show that
         # the base was unknown.
@@ -132,9 +132,9 @@ def _error_kind(problem: Problem, name: str) -> str:
 
 
 def network_tables(networks: Networks) -> list[Table | Words]:
-    """Return a table of mean errors [mm] without and with each network, and a sentence.
+    """Return a table of mean errors [mm] without and with each trained network, and a sentence.
 
-    The sentence states on which poses they were trained, or why none was.
+    The table is absent where none was trained; the sentence states on which poses, or why none was.
     """
     rows: list[tuple[str, ...]] = []
     for name, result in networks.results.items():
@@ -241,21 +241,22 @@ def held_out_outliers(problem: Problem, last: Identification) -> list[LeftOut]:
 
 
 def chance_of(before: Accuracy, after: Accuracy) -> float:
-    """Return twice the standard error of the difference of two mean errors [m]."""
+    """Return twice the standard error of the difference of two mean errors [m]; 0 for one pose."""
     return float(2 * np.hypot(before.std, after.std) / np.sqrt(after.n)) if after.n > 1 else 0.0
 
 
 def poses_to_tell(before: Accuracy, after: Accuracy) -> int:
     """Return the number of held-out poses from which a difference of two mean errors is no chance.
 
-    It exceeds the number of poses where the difference may be one of chance (`chance_of`).
+    It exceeds the number of poses where the difference may be one of chance (`chance_of`), and is
+    at most 1e9.
     """
     off = abs(after.mean - before.mean)
     return int(min(np.ceil(after.n * (chance_of(before, after) / max(off, 1e-12)) ** 2), 1e9))
 
 
 def open_error(last: Identification) -> float:
-    """Return the rms uncertainty of the model's position at the fitted poses [m]."""
+    """Return the rms uncertainty of modelled positions [m], at about 200 fitted poses a table."""
     some = [m[:: -(-len(m) // 200)] for m in last.used]
     covariances = np.concatenate([last.predict(m.q, m.conditions)[1] for m in some])
     return float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean()))

@@ -113,8 +113,8 @@ def read_places(path: Path) -> Array:
 def declared_kinds_and_noise(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
     """Return the kinds of a problem folder's tables, and the largest declared sigma [mm].
 
-    A kind that is not declared is read from the table, if there is one; the noise is None where
-    none is declared.
+    A kind that is not declared is read from the table, if that is possible; the noise is None where
+    none is declared. A robot file has neither: ((), None).
     """
     tables = tables_of(path) if path.is_dir() else ()
     kinds = {data.kind for data in tables if data.kind}
@@ -126,7 +126,7 @@ def declared_kinds_and_noise(path: Path, robot: Robot) -> tuple[tuple[str, ...],
 
 
 def more_poses(path: Path, m: Measurements) -> Words:
-    """Return the command that plans more poses of the kind that was measured, as text.
+    """Return the command that plans more poses of the kind of m; at most four wires.
 
     path : problem folder or robot file
     """
@@ -352,10 +352,10 @@ def plan(
 def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target: float | None) -> tuple[Array, str]:
     """Return poses to measure, in order, shape (n, joints) [rad or m], and a sentence on them.
 
-    Their number is what the stopping rule, or the wanted accuracy, needs.
+    Their number is what the stopping rule, or the wanted accuracy, needs, if 100 are enough.
 
     folder : problem folder, whose tables may declare the noise
-    workspace : None: above the plane that the robot stands on
+    workspace : None: above the plane z = 0 of the robot's base or, if none is there, anywhere
     target : wanted accuracy [m], None without one
     Raises InputError where no pose is allowed.
     """

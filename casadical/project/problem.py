@@ -72,7 +72,7 @@ def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
 class Problem(Shown):
     """A robot and its measurements, split into named sets (identify, train, choose, report).
 
-    folder : folder that it was read from
+    folder : problem folder, or robot file, that it was read from
     title : title of reports
     data : whether the measurements are real or synthetic; None where it is not stated
     robot : nominal robot
@@ -86,7 +86,7 @@ class Problem(Shown):
     paper : published figures and their source
     prior : prior from another campaign, where one is used
     set_column : column that names each pose's set; None where the split is drawn at random
-    tables : how each table is interpreted, as problem.toml says
+    tables : how each table is interpreted (see `DataTable.interpretation`)
     robot_file : file that the robot was read from
     whole : all poses of each table, to which the written robots are fitted; () where these are of
         `identify`
@@ -138,7 +138,7 @@ class Problem(Shown):
         """Yield the name and the measurements of every table's part in every set.
 
         The name is SET; of several tables SET/KIND, and of several tables of one kind
-        SET/KIND/FILE.
+        SET/KIND/FILE, with " (1)", " (2)" and so on where two would be the same.
         """
         for name, parts in self.sets.items():
             names = [name]
@@ -153,8 +153,8 @@ class Problem(Shown):
     def table(self) -> Measurements | None:
         """Return all poses of the only table in the order of its rows, as kind position.
 
-        Measured orientations are included. None where there are several tables, or other kinds of
-        measurement.
+        Measured orientations are included. None where there are several tables, or the kind has
+        no positions.
         """
         parts = [part for _, part in self.parts()]
         first = parts[0]
@@ -185,7 +185,7 @@ class Problem(Shown):
         return f"{found.in_words(self.table.source)}; casadical check {self.folder} --repair writes them"
 
     def without_errors(self, errors: CameraErrorsTable) -> "Problem":
-        """Return the problem with errors of the camera taken off the poses of its only table, which says so."""
+        """Return the problem, its only table without these camera errors, which it then names."""
         sets = {name: tuple(errors.taken_off(m) for m in parts) for name, parts in self.sets.items()}
         (table,) = self.tables
         tables = ({**table, "camera_errors": errors.model_dump(exclude_defaults=True)},)
@@ -235,7 +235,8 @@ def read_problem(
         `casadical.identification.prior.carry_over`)
     tables : measured poses in place of the folder's own, interpreted as these are (see
         `read_campaign`)
-    campaign : whether the robot is that of a diagnosis (see `read_campaign_robot`)
+    campaign : whether the robot is that of a diagnosis (see `read_campaign_robot`); with `tables`
+        it always is
     Raises InputError: a folder that is no problem; it names the file and what is wrong in it.
 
     Examples
@@ -456,8 +457,8 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
     """Return the measurements with the derived columns on which the robot's effects depend.
 
-    Raises InputError where a column that they are derived from is missing, and at a row where the
-        effects give no finite position.
+    Raises InputError where a column that they, or a logged gravity, need is missing, and at a row
+        where the effects give no finite position.
     """
     if robot.gravity_frame == "logged" and not {*GRAVITY_COLUMNS} <= m.conditions.keys():
         raise InputError(

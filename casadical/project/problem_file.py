@@ -86,7 +86,7 @@ _Made = Annotated[Annotated[str, Tag(VALUE_FORMS[0])] | Annotated[_Source, Tag(V
 
 
 class _Intrinsics(_Strict):
-    """Intrinsics of a camera [px], with the coefficients k1, k2, p1, p2, k3 of its distortion, as OpenCV has them."""
+    """Intrinsics of a camera [px], and k1, k2, p1, p2, k3 of its distortion as OpenCV has them."""
 
     fx: float = Field(gt=0)
     fy: float = Field(gt=0)
@@ -96,13 +96,13 @@ class _Intrinsics(_Strict):
 
     @property
     def columns(self) -> dict[str, float]:
-        """Columns of a table that has these intrinsics in every row."""
+        """Return column -> its value in every row [px, 1]; coefficients not given are zero."""
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *[0.0] * (5 - len(self.distortion)))
         return dict(zip(INTRINSICS, values, strict=True))
 
 
 class CameraErrorsTable(_Strict):
-    """Errors of a camera that are taken off its poses (see `corners.CameraErrors`), and the board's middle [mm]."""
+    """Errors of a camera taken off its poses (see `corners.CameraErrors`); board centre [mm]."""
 
     focal: float = Field(default=0.0, gt=-0.2, lt=0.2)
     tilt: float = Field(default=0.0, gt=-0.2, lt=0.2)
@@ -403,8 +403,8 @@ def problem_file(folder: Path) -> ProblemFile:
 def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
     """Return the problem.toml of a folder, with the given tables, if any, in place of its own.
 
-    For a robot file the result is as if a problem.toml named this robot and the tables. With
-    tables the robot is that of diagnoses. Raises InputError.
+    For a robot file the result is as if a problem.toml named this robot and the tables, and asked
+    for a refit to all poses. With tables the robot is that of diagnoses. Raises InputError.
     """
     if not tables:
         return problem_file(source)
@@ -482,7 +482,7 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
 def result_in(folder: Path) -> Path:
     """Return the path of the last method's robot file in a folder of results; a file is unchanged.
 
-    Raises InputError where the folder has no results of a calibration.
+    Without result.json it is the only robot file there. Raises InputError where neither is there.
     """
     if not folder.is_dir():
         return folder

@@ -26,14 +26,14 @@ from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns
 from casadical.robot.robot import Robot
 
-# Largest median orientation error of the nominal robot [rad] with which an angle convention is
-# accepted without a question.
+# Largest error of the nominal robot (see `_total`; of orientation alone in rad) with which the
+# meaning of an ambiguous heading is accepted without a question.
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
-# Minimum ratio of the orientation error with every other angle convention to that with the best
-# one, with which the best one is accepted without a question.
+# Minimum ratio of the error with every other meaning of a heading to that with the best one, with
+# which the best one is accepted without a question.
 MIN_ERROR_RATIO_TO_OTHERS = 4.0
-# Maximum number of readings of a table that no choice explains for which slips are searched, which
-# takes a second each.
+# Maximum number of interpretations of a table, none of which fits the robot, with which slips are
+# searched for; each takes a second.
 MAX_CHOICES_WITH_SLIPS = 8
 
 
@@ -131,10 +131,11 @@ def _without_other_frame(
 def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
     """Return measurements with poses of the tool in the measuring frame, and their camera's place.
 
-    Poses that the table gives inverted are inverted; other kinds are returned unchanged.
+    Poses that the table gives inverted are inverted, joint readings of a moving camera shifted to
+    the times of its images (`_synchronised`); measurements without orientations are unchanged.
 
-    inverted : whether the table has the inverse of these poses; None: it has where only the inverse
-        fits the robot, or where both fit and the camera is in hand
+    inverted : whether the table has the inverse of these poses; None: of five poses or more, where
+        only the inverse fits the robot, or none fits clearly better and the camera is in hand
     camera : where the camera is; empty: as the poses and their noise show
     Raises InputError: measurements without orientations that are declared to be inverted, or to be
     of a camera.
@@ -244,10 +245,10 @@ def _camera_of(m: Measurements, robot: Robot) -> Camera:
 def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
     """Return the meaning of columns with the questions answered by the nominal robot, if it can.
 
-    Every reading of the table, which is one choice of each question, is judged by its error: that
-    of the robot, its frames placed to fit. A choice is taken where all readings with another choice
-    have an error at least MIN_ERROR_RATIO_TO_OTHERS times as large. Where that is not clear, the
-    choices of questions with a topic are ordered, the best fit first.
+    Every interpretation of the table, which is one choice of each question, is judged by its error:
+    that of the robot, its frames placed to fit. A choice is taken where the error is small and that
+    of all interpretations with another choice at least MIN_ERROR_RATIO_TO_OTHERS times as large.
+    Where not, the choices of questions with a topic are ordered, the best fit first.
 
     given : casadical's column name -> declared source; found : meaning with the open questions
     """
@@ -315,7 +316,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
 
 
 def _error_without_slips(robot: Robot, m: Measurements) -> tuple[float, float] | None:
-    """Return the median errors [m, rad] of a reading with the slips undone that explain it best.
+    """Return the median errors [m, rad] of an interpretation with its best slips undone.
 
     None where no slips explain it.
     """
@@ -326,7 +327,7 @@ def _error_without_slips(robot: Robot, m: Measurements) -> tuple[float, float] |
 
 
 def _total(robot: Robot, error: tuple[float, float]) -> float:
-    """Return the dimensionless error of a reading of a table.
+    """Return the position error divided by the reach, plus the orientation error, dimensionless.
 
     error : median error of positions [m] and of orientations [rad]
     """
@@ -334,7 +335,7 @@ def _total(robot: Robot, error: tuple[float, float]) -> float:
 
 
 def _why(choice: str, error: tuple[float, float], other: tuple[float, float] | None) -> str:
-    """Return why a choice is taken, by the errors [m, rad] of the best and the next reading.
+    """Return why a choice is taken, by errors [m, rad] of the best and next interpretation.
 
     choice : beginning of the text
     """
@@ -385,7 +386,7 @@ def computed(robot: Robot, m: Measurements, rounded: bool = False) -> bool:
 
 
 def _last_digit(q: Array) -> float:
-    """Return the unit of the last decimal [rad or m] in which readings of a joint were written.
+    """Return the unit of the last decimal [rad or m] of a joint's readings; 0 if none fits.
 
     q : readings, shape (n,) [rad or m], written in deg, rad, mm or m
     """
@@ -435,10 +436,7 @@ def some_rows(rows: Sequence[object]) -> str:
 
 
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
-    """Refuse a table that does not name its target where the robot file has several.
-
-    Raises InputError.
-    """
+    """Raise InputError for a table that does not name its target, if the robot has several."""
     if robot.targets and not names_in(m):
         target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(

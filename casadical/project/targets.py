@@ -81,7 +81,7 @@ class Targets:
 def recognised(robot: Robot, m: Measurements) -> Targets | None:
     """Return the several targets that a table measured but does not name, as repeats show them.
 
-    None where repeated readings agree, there are none, or targets are named.
+    None where the robot or the table names targets, or repeats show no certain number of them.
 
     robot : nominal robot
     m : measured poses
@@ -243,8 +243,8 @@ def middles(m: Measurements, count: int) -> Measurements | None:
     return _middles(m, whole) if whole else None
 
 
-# Minimum number of rows from which the search for wrong names starts, half of the rows that a table
-# needs for it.
+# Minimum number of rows from which the search for wrong names starts (the table needs twice as
+# many), and of a table in which targets without names are searched for by distance.
 MIN_SEARCH_ROWS = 18
 # Other names are accepted if they reduce the median error to this fraction or less; K targets, if
 # they reduce it to less than the K-th power of this fraction of that with one target.
@@ -285,7 +285,8 @@ class WrongNames:
 def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
     """Return the rows whose position fits another target than the named one; None without any.
 
-    The search starts from the first and from the last third of the rows.
+    None, too, of a robot without further targets or of fewer than 36 rows. The search starts from
+    the first and from the last third of the rows.
     """
     columns = [t.column for t in robot.targets]
     if not columns or m.position is None or len(m) < 2 * MIN_SEARCH_ROWS:

@@ -152,7 +152,8 @@ class Certificate(Acceptance):
     def decision(self) -> Literal["", "conforms", "open", "fails"]:
         """Return the decision with guard band: conforms, fails or open; "" without a tolerance.
 
-        The robot conforms where E + U is within the tolerance, and fails where E - U is beyond it.
+        The robot conforms where E + U is within the tolerance, and fails where E is resolved and
+        E - U is beyond it.
         """
         tolerance, after = self.details.decision.tolerance, self.after
         if tolerance is None:

@@ -85,9 +85,11 @@ def planned_test(
 
 
 def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> Array | None:
-    """Return readings that reach five places in one orientation, shape (5, joints), or None.
+    """Return joint variables that reach five places, shape (5, joints) [rad or m], or None.
 
-    q : readings at the first place, shape (k, joints) [rad or m]; one of them gives the orientation
+    The orientation is the same at all of them if the robot has six joints or more.
+
+    q : variables at the first place, shape (k, joints) [rad or m]; one gives the orientation
     places : in the measuring frame, shape (5, 3) [m]; room : where poses may lie
     """
     R = predicted(robot, unmeasured(q))[1]
@@ -98,7 +100,7 @@ def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> 
         def off(q: Array, which: Array, place: Array = place) -> tuple[Array, Array]:
             """Return pose errors (k, 6) [m, rad] and their Jacobians (k, 6, joints).
 
-            q : trial readings, shape (k, joints); which : index of each one's orientation; place :
+            q : trial variables, shape (k, joints); which : index of each one's orientation; place :
                 wanted position, shape (3,) [m]. Robots with fewer than six joints have 3 errors.
             """
             p, now = predicted(robot, unmeasured(np.concatenate([q, *(q + 1e-6 * e for e in np.eye(robot.n))])))
@@ -260,7 +262,8 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
 
     robot : calibrated robot, whose base frame is that of the commands
     promised : rms error of its calibration [m]
-    Raises InputError: a missing column, no finite number, a test without visits.
+    Without a column `test` all visits are of accuracy. Raises InputError: another missing column,
+    no finite number, a test without visits.
     """
     columns = Columns.of_file(read_table(path))
     measured, command = columns.vector(""), columns.vector("c")

@@ -42,7 +42,8 @@ class Verification(Acceptance):
         fit [m]
     limit : largest `found` with which the robot is valid, 99 % quantile of chance [m]
     n : number of poses
-    far : poses with more than four times the promised error, or outliers of a robust fit
+    far : poses with more than four times the promised error, or outliers of a robust fit; at most
+        a third of all, the one with the largest error first
     without : `found` without outliers, where the robot is not valid with them [m]; None: not
         computed
     lost : file and row of each row that was excluded because a cell is no number

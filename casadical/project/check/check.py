@@ -58,7 +58,7 @@ def precheck(
     show : called with each line of progress
     tables : measured poses, in place of the folder's own or for a robot file (see `read_problem`)
 
-    Faults of the input are findings, not exceptions.
+    Faults of files and data (InputError) are findings, not exceptions.
     """
     folder = Path(folder)
     try:
@@ -173,7 +173,8 @@ def _plausible(
 ) -> tuple[list[Finding], Slips | None]:
     """Return a finding on how well the nominal model explains a table, and its best single slip.
 
-    The latter is None where there are too few poses, or where the model itself explains the table.
+    The slip is None where there are too few poses, the kind is not judged (`plausible`), or the
+    model itself explains the table.
 
     others : robots that the file may have meant
     standard : whether the robot file has the standard DH convention

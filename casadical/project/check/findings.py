@@ -247,7 +247,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
     """Return findings on what one method is expected to determine: data, confounding, misfit.
 
     view : the expectation
-    noise : given noise of a coordinate [m], None where it is unknown
+    noise : noise of a coordinate [m] to compare with, None where it is unknown
     """
     p = view.unknowns
     if not view.enough:

@@ -97,6 +97,8 @@ def outlook(
 ) -> Outlook:
     """Return what an identification of these parameters from these sets is expected to determine.
 
+    Rows with large residuals (see `_near`) are excluded.
+
     robot : nominal robot with base and tool frames fitted to the sets
     free : parameters, as of `identify`
     method : name of the method
@@ -146,8 +148,8 @@ def outlook(
 def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
     """Return the problem with estimated sigmas, and its residuals (m,) and Jacobian (m, size).
 
-    Sigmas are estimated for kinds with angles, and all is at nominal values. Positions and angles
-    have different units: if their sigmas were guessed, one would hide the other.
+    Sigmas are estimated of the first set, if it has angles without a stated sigma; all is at
+    nominal values. With guessed sigmas, positions would hide angles, or angles positions.
     """
     for _ in range(6):  # until their logarithms change by less than 0.03
         residuals, J = problem.evaluate(np.zeros(problem.size))

@@ -37,7 +37,8 @@ MAX_MEDIAN_ERROR_OF_REACH = 0.02
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
     """Return the fit of the data as they are, and the best fit with at most one slip undone.
 
-    None for kinds without positions and lengths.
+    None without positions, unless these are distances that `slip_fit` takes. At most 150 poses,
+    evenly spread, are fitted.
 
     robot : nominal robot
     others : robots that the file may have meant (see `other_conventions`)
@@ -77,8 +78,8 @@ def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
     """Return the mask of rows far off the placed nominal model, and all errors [m], both (n,).
 
-    A row is far off if its error exceeds five times the median. With few poses, or where half of
-    them were far off, the mask is empty.
+    A row is far off if its error exceeds five times the median. None is where more than half were;
+    with fewer than 12 poses, or without positions, none is and all errors are zero.
     """
     inliers = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
@@ -95,7 +96,7 @@ def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
 
 
 def other_conventions(path: Path) -> list[Robot]:
-    """Return a robot file's robot with its DH rows in the other convention; [] for a URDF."""
+    """Return a robot file's robot with rows in the other DH convention; [] if URDF or faulty."""
     # Faults of the file are reported where the problem is read.
     with suppress(InputError):
         if path.suffix == ".toml":
@@ -136,11 +137,11 @@ def other_readings(robot: Robot, m: Measurements) -> list[tuple[tuple[str, ...],
 
 @dataclass(frozen=True)
 class JointCoverage:
-    """The readings of one joint.
+    """The range of one joint's variable (of the robot's row) over the poses.
 
     joint : number of the joint, from 1
     unit : deg or mm
-    low, high : lowest and highest reading [deg or mm]
+    low, high : lowest and highest value [deg or mm]
     lower, upper : joint limits [deg or mm]
     share : covered share of the range between the limits, 0 to 1
     """
@@ -155,7 +156,7 @@ class JointCoverage:
 
 
 def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
-    """Return for each joint the range of its readings and the share of its limits that it covers.
+    """Return for each joint the range of its variable and the share of its limits that it covers.
 
     A joint that turns more than once is fully covered by one turn.
     """
@@ -171,7 +172,7 @@ def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
 def repeats(m: Measurements) -> tuple[int, float | None]:
     """Return the number of distinct poses, and the noise of a coordinate by repeated ones [m].
 
-    The noise is a standard deviation, None where too few poses are repeated.
+    The noise is a standard deviation, None without positions or with fewer than three repeats.
     """
     tools = [values for name, values in m.conditions.items() if name.startswith("tool_")]
     reading = same_readings(np.column_stack([m.q, *tools]))

@@ -222,8 +222,8 @@ def write_repair(texts: Mapping[Path, str]) -> str:
 def repaired(found: Precheck) -> str:
     """Write the repair that a check has found; return the changed lines and a sentence.
 
-    Targets are repaired before slips; the text is empty where there is no repair. Raises
-    InputError.
+    Only the first that applies is repaired: targets, their names, slips, inverse poses, joint
+    readings. The text is empty where there is no repair. Raises InputError.
     """
     robot, slips, targets = found.nominal, found.slips, found.targets
     if targets and targets.which is not None and targets.points is not None and targets.rows is not None:

@@ -25,13 +25,14 @@ class Precheck(Result):
     findings : all findings
     title, robot : names, empty where they could not be read
     poses : number of poses in each set
-    noise : noise of a coordinate [m], where it is declared or given
+    noise : noise of a coordinate [m], given, declared or by repeated readings; None if unknown
     noise_source : where it is from, in words
     joints : joint ranges that the fitted poses cover
     margin : smallest margin of the four-bars over the poses; None without four-bars
     outlooks : expected accuracy by each method, () where the data are unusable
     nominal : nominal robot
-    slips : slips that explain data that contradict the robot; None where none were searched for
+    slips : best slips where data contradict the robot, also if they do not explain the data (see
+        `Slips.explains`); None where the robot fits or none were searched for
     targets : several targets on one flange that the table does not name; None if there are none
     wrong_names : rows that name another target than was measured; None if there are none
     tables : tables given in place of the folder's own

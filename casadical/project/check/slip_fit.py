@@ -24,7 +24,7 @@ from casadical.identification.placement import solve_placement
 class Hypothesis(NamedTuple):
     """What may be wrong with the readings and the robot's rows.
 
-    reading i = own i + add * (own i - 1), own i = sign * factor * column[source i] + zero
+    reading[i] = own[i] + add[i] * own[i - 1], own = sign * factor * column[source] + zero
 
     source, sign, factor, zero, add : of each joint, as above; zero in rad or m
     shift : number of rows by which the readings precede their positions
@@ -94,7 +94,8 @@ class Fit:
     """The fit of one hypothesis, base and tool placed.
 
     hypothesis : what is undone
-    error : median error [m], or a third of the 80 % quantile, if that is greater
+    error : median error [m], or, of `SlipFit.placed`, a third of the 80 % quantile if that is
+        greater; infinite where the fit was not made
     scale : unit factors of x, y, z
     mirrored : whether y is mirrored
     turn : median angle between measured and modelled orientations [rad], 0 where none were measured
@@ -428,9 +429,9 @@ def _project_out_frame(y: Array, p: Array, R: Array, more: Array | None = None) 
 
 
 def _least_squares(A: Array, b: Array) -> Array:
-    """Return the regularised least-squares solutions of A x = b, shape (k, x, 1).
+    """Return the regularised least-squares solutions of A x = b, shape (k, x, c).
 
-    A, b : shapes (k, rows, x) and (k, rows, 1)
+    A, b : shapes (k, rows, x) and (k, rows, c)
     """
     At = np.swapaxes(A, 1, 2)
     return np.asarray(np.linalg.solve(At @ A + 1e-9 * np.eye(A.shape[2]), At @ b))

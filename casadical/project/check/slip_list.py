@@ -18,7 +18,7 @@ from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis
 from casadical.robot.robot import Robot
 
-# Rotations by which the zero of a joint is often wrong [rad].
+# Offsets that a joint's zero is tried with [rad]: none, and those by which it often is wrong.
 QUARTER_TURNS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
 
 
@@ -204,7 +204,7 @@ Misses = Callable[[Measurements], tuple[Array, Array]]
 
 
 def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, labels: Sequence[str]) -> str:
-    """Return a sentence on the single slips that make the k-th reading plausible if undone.
+    """Return a sentence on the up to three slips, each of which undone makes reading k plausible.
 
     Where there are none, the sentence states other causes.
 

@@ -17,7 +17,8 @@ from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
 from casadical.project.check.slip_list import QUARTER_TURNS, further_slips, inner
 from casadical.robot.robot import Robot
 
-# Median error, as a share of the reach, up to which a nominal robot has no slips.
+# Median error, as a share of the reach, below which explanations are not distinguished by their
+# errors; the search ends at twice this error.
 NOMINAL_ERROR_OF_REACH = 0.001
 # Minimum factor by which an additional slip must reduce the error to be accepted. Explanations of a
 # table whose errors, so penalised, differ by less than this factor are rivals.
@@ -30,7 +31,7 @@ class Slips:
 
     before : fit of the table as it is
     best : best fit
-    rivals : other fits that are nearly as good
+    rivals : at most two other fits that are nearly as good
     """
 
     before: Fit
@@ -39,7 +40,7 @@ class Slips:
 
     @property
     def explains(self) -> bool:
-        """Return whether the best fit leaves far less error than the table as it is."""
+        """Return whether the best fit has slips, and less than a quarter of the error before."""
         return self.best.slips > 0 and self.best.error < 0.25 * self.before.error
 
 
@@ -108,7 +109,7 @@ def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
 
 
 def _likely_shifts(fit: SlipFit, robot: Robot) -> tuple[int, ...]:
-    """Return the shift of rows with which the readings predict the positions; all where it is unclear.
+    """Return the shift of rows with which readings predict positions; 0, 1 and -1 where unclear.
 
     A position is a trigonometric polynomial of the angles, whatever their signs, zeros and order.
     Kernel ridge regression on such polynomials shows the shift before other slips are found.
@@ -202,7 +203,7 @@ def _rounded_zero(angle: float) -> float:
 
 
 def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
-    """Return the indices of the best hypotheses of all, and of each shift and robot.
+    """Return the indices of the best hypotheses of all, and the 120 best of each shift and robot.
 
     share : share of the motion that each leaves unexplained, shape (k,)
     beam : number of hypotheses that are continued

@@ -71,7 +71,7 @@ class Estimate:
     left_out : leave-one-out residuals, shape (n, lengths) [m], NaN where the others do not predict
         the reading
     surprise : squared leave-one-out residuals, angles included, in units of their covariance, shape
-        (n,)
+        (n,); 0 where the others do not predict the reading
     widened : factor on `MAX_SURPRISE`, as few readings determine the noise badly
     """
 

@@ -66,7 +66,8 @@ class LiveSession:
     target : wanted accuracy [m], None without one
     room : file of a workspace
     data : "real" or "synthetic", as problem.toml states it
-    move : returns the line of a program that moves to joints [deg or mm]; None: no program
+    move : returns the line of a program that moves to controller's readings [deg or mm]; None: no
+        program
 
     Raises InputError: the folder has other measurements, which would be lost.
     """
@@ -89,7 +90,7 @@ class LiveSession:
         self.room: Workspace | None = read_workspace(room, self.robot) if room else None
         self.lock = RLock()
         self.estimate: Estimate | None = None
-        self.plan: Array | None = None  # planned poses, shape (n, joints) [rad or m]
+        self.plan: Array | None = None  # planned joint variables, shape (n, joints) [rad or m]
         self._of_plan = ""
         self.said: list[str] = []
         self.checked: tuple[int, list[str]] = (0, [])
@@ -229,7 +230,7 @@ class LiveSession:
             raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
     def _read(self) -> dict[int, Array]:
-        """Return number of each readable reading -> its joints, shape (joints,) [rad or m]."""
+        """Return number of each readable reading -> its joint variables, (joints,) [rad or m]."""
         return {} if self.m is None else dict(zip(map(self._number, self.m.row), self.m.q, strict=True))
 
     def _number(self, row: int) -> int:
@@ -238,7 +239,7 @@ class LiveSession:
 
     @property
     def _sources(self) -> dict[str, ColumnSource]:
-        """Return casadical's column name -> its source in the table of readings."""
+        """Return casadical's column name, else the heading -> its source in the table."""
         tables = problem_file(self.folder).measurements
         data = next((t for t in tables if t.file == TABLE_FILE), DataTable(file=TABLE_FILE))
         raw = read_table(self.folder / TABLE_FILE)
@@ -390,7 +391,7 @@ class LiveSession:
             self.plan, self._of_plan = poses_ahead(self.robot, self.folder, self.room, self.target)
 
     def _remaining_poses(self) -> Array:
-        """Return the planned poses that have no reading yet, shape (k, joints) [rad or m].
+        """Return the joint variables of planned poses without a reading, (k, joints) [rad or m].
 
         Doubtful readings do not count. A pose to repeat comes first.
         """
@@ -401,7 +402,7 @@ class LiveSession:
         return remaining if self._wish is None else np.vstack([self._wish, remaining])
 
     def next_pose(self) -> Array:
-        """Return the joints of the next pose, shape (joints,) [rad or m].
+        """Return the joint variables of the next pose, shape (joints,) [rad or m].
 
         After the last pose the plan begins again.
         """
@@ -414,8 +415,8 @@ class LiveSession:
     def doubted(self) -> bool:
         """Return whether the whole table is to be checked for slips now (see `check`).
 
-        That is so at certain numbers of readings, and at every third one where many readings are
-        doubtful or the noise is large.
+        That is so at certain numbers of readings from 10 on, and at every third one where more than
+        a third are doubtful or the noise is large.
         """
         n = len(self.course.readings)
         gross = self.estimate is not None and self.estimate.sigma > 0.003 * self.robot.reach
@@ -430,7 +431,7 @@ class LiveSession:
     def check(self) -> None:
         """Check the whole table as `casadical check` does, and store the errors in `checked`.
 
-        A search for slips takes seconds.
+        Too few poses are no such error. A search for slips takes seconds.
         """
         n = len(self.course.readings)
         checked = precheck(self.folder)
@@ -523,7 +524,7 @@ class LiveSession:
 
         The state is good, doubtful, unread or struck; off_mm is the length of its residual.
 
-        at : its joints, shape (joints,) [rad or m]; None where they cannot be read
+        at : its joint variables, shape (joints,) [rad or m]; None where they cannot be read
         """
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
         if at is None and not r.struck:
@@ -578,7 +579,7 @@ def finished(session: LiveSession) -> str:
 
 
 def _refuse_measured(folder: Path) -> None:
-    """Refuse a folder whose tables are measured poses of an earlier campaign. Raises InputError."""
+    """Raise InputError for a folder with tables of an earlier campaign that are not synthetic."""
     file = problem_file(folder)
     others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":

@@ -67,7 +67,8 @@ class Course:
     def follow(self, event: dict[str, Any]) -> None:
         """Apply one event of the journal (begin, read, strike or restore) to the state.
 
-        Raises KeyError, TypeError or ValueError for an invalid one.
+        Events of other kinds are ignored. Raises KeyError, TypeError or ValueError for an invalid
+        one.
         """
         do = event["do"]
         if do == "begin":
@@ -239,7 +240,7 @@ class StreamSource:
 class SimulatedSource:
     """A simulated instrument, which measures a robot that departs a little from nominal.
 
-    pose : returns the joints of the next reading, shape (joints,) [rad or m]
+    pose : returns the joint variables of the next reading, shape (joints,) [rad or m]
     count : number of readings, after which it ends
     """
 

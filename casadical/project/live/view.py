@@ -45,10 +45,7 @@ def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary(state: Mapping[str, Any]) -> list[Words | Table]:
-    """Return sentences and a table at the end of a session: the estimate, and doubtful readings.
-
-    state : as of `LiveSession.state`
-    """
+    """Return a session's last blocks, on its `state`: estimate, readings that are not good."""
     figures = state["known"]
     blocks: list[Words | Table] = [Words(f"{state['about']}.", "verdict"), Words(f"{state['known_words']}.")]
     blocks += [Table("", ("known by now", ""), figures["figures"], frozenset({1}))] if figures else []
@@ -57,10 +54,7 @@ def summary(state: Mapping[str, Any]) -> list[Words | Table]:
 
 
 def answer(state: Mapping[str, Any], number: int) -> str:
-    """Return the judgement of the reading of this number as text.
-
-    state : as of `LiveSession.state`
-    """
+    """Return the judgement of reading `number` as text; state : as of `LiveSession.state`."""
     reading = next(r for r in state["readings"] if r["number"] == number)
     usual = state["known"] and state["known"]["left_out_mean_mm"]
     words = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])
@@ -77,10 +71,7 @@ def answer(state: Mapping[str, Any], number: int) -> str:
 
 
 def outlook(state: Mapping[str, Any]) -> list[str]:
-    """Return lines of text on faults of the whole table and on the next pose with its joints.
-
-    state : as of `LiveSession.state`
-    """
+    """Return lines on faults of the table and the next pose; state : as of `LiveSession.state`."""
     lines, ahead = [*state["table"]], state["next"]
     if ahead is not None:
         pairs = zip(state["fields"], ahead["poses"][0], strict=False)  # first the joints
@@ -95,10 +86,7 @@ def _off(reading: Mapping[str, Any]) -> str:
 
 
 def _figures(estimate: Mapping[str, float | None]) -> list[tuple[str, str]]:
-    """Return (name, value) of the expected errors as texts [mm]; a dash for an unknown one.
-
-    estimate : the key `known` of a session's data
-    """
+    """Return (name, value) of errors in key `known` as texts [mm]; a dash for an unknown one."""
     named = {
         "mean, left out one by one": estimate["left_out_mean_mm"],
         "95 % below, to promise": estimate["promise_mm"],

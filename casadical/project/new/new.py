@@ -70,7 +70,8 @@ def synthetic_poses(robot: Robot, seed: int = 0) -> str:
 def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
     """Return a row of a table as texts.
 
-    q : joint readings, shape (joints,) [rad or m], written in the units of their names
+    q : joint variables, shape (joints,) [rad or m], written as the controller's readings in the
+        units of their columns
     position : shape (3,) [m], written in mm
     """
     readings = robot.readings_of(q[None])[0] / list(robot.reading_units.values())
@@ -348,7 +349,7 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
     """Return the targets with three poses or more, the most measured first, and the others' rows.
 
-    The latter map row of the file -> reason why it is omitted.
+    The latter map row of the file -> reason why it is omitted. A single target needs no three.
     """
     flags = columns.tools()
     order = sorted(flags, key=lambda name: -flags[name].sum())
