@@ -144,7 +144,7 @@ def errors(robot: Robot, m: Measurements) -> Array:
 
 
 def positions_at(robot: Robot, m: Measurements) -> PositionsAt:
-    """Return the function from readings (n, joints) to the robot's positions there (n, 3) [m].
+    """Return the function from joint variables (n, joints) to the robot's positions (n, 3) [m].
 
     Positions are those of the measured point in the measuring frame, at the conditions (payload,
     temperature and others) of the n poses m.

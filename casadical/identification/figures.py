@@ -160,9 +160,9 @@ def residual_quantiles(residuals: Array) -> Figure:
 
 
 def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> Figure:
-    """Return the figure of the readings of each joint within its limits, in % of its range.
+    """Return the figure of each joint's variable within its limits, in % of its range.
 
-    A reading is a tick; each of the first four entries of `sets` has ticks at every joint, those of
+    A pose is a tick; each of the first four entries of `sets` has ticks at every joint, those of
     MAX_POINTS_DRAWN poses at most.
 
     sets : legend entry -> its sets of measurements

@@ -114,7 +114,7 @@ def _friction_columns(v: Array) -> Array:
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
     """Return sentences on contradictions between a log and the arm's model, each with a remedy.
 
-    They concern missing masses or motor data, readings out of range, and, of a robot with masses,
+    They concern missing masses or motor data, joints out of range, and, of a robot with masses,
     torques in another unit and joints in another order or sign.
     """
     states = None if lacks_masses(robot) else states_of(log)
@@ -125,7 +125,7 @@ def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
 def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
     """Yield a sentence for each datum of arm or drives that the log's evaluation lacks.
 
-    Joints whose readings are outside of their range are reported, too.
+    Joints whose logged positions are outside of their range are reported, too.
     """
     signed = log.torque is not None or (log.current is not None and not log.current_unsigned)
     if lacks_masses(robot) or robot.masses == "estimated":

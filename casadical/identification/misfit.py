@@ -66,7 +66,7 @@ class _Rows:
 class _Poses:
     """Residuals and Jacobians of all poses that an identification used, iterated over in parts.
 
-    q : readings, shape (n, joints) [rad or m]; joints : number of revolute joints
+    q : joint variables, shape (n, joints) [rad or m]; joints : number of revolute joints
     count : number of measured values minus the coordinates of unknown points
     """
 
@@ -359,9 +359,9 @@ def _misfit_factor(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: fl
 def _by_region(q: Array) -> Array:
     """Return the number (0 to 11) of each pose's region of joint space, shape (n,).
 
-    Regions are cells of about equal count along the two principal directions of the readings.
+    Regions are cells of about equal count along the two principal directions of q, scaled.
 
-    q : shape (n, joints) [rad or m]
+    q : joint variables, shape (n, joints) [rad or m]
     """
     centred = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T

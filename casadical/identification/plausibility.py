@@ -69,9 +69,9 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
 
 
 def refuse_undefined(robot: Robot, m: Measurements) -> None:
-    """Refuse readings at which a robot with effects has no finite position, such as a zero divisor.
+    """Refuse poses at which a robot with effects has no finite position, such as a zero divisor.
 
-    Readings at the second pose of a distance are tested, too. Raises InputError with the row.
+    The other poses of pair distances are tested, too. Raises InputError with the row.
     """
     for k in range(0, len(m) if robot.effects else 0, MAX_CACHED_DATA_POSES):
         some = m[k : k + MAX_CACHED_DATA_POSES]
@@ -113,7 +113,7 @@ def _refuse_payload(robot: Robot, m: Measurements) -> None:
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
-    """Yield a fault for each joint and each of its limits that readings exceed, with an allowance.
+    """Yield a fault for each joint and each limit that its variable exceeds by LIMIT_ALLOWANCE.
 
     A fault lists the rows, the farthest first.
     """

@@ -79,7 +79,7 @@ class PoseErrors:
 
     name : of the set; held_out : whether no model was fitted to it
     row : row of each pose in the source file, shape (n,)
-    q : readings, shape (n, joints) [rad or m]
+    q : joint variables, shape (n, joints) [rad or m]
     position : measured in the measuring frame, shape (n, 3) [m], or None
     models : in order of reading
     source : the file; left_out : poses of it that are outliers and in no figure of the set
@@ -351,7 +351,7 @@ def skeleton(robot: Robot, q: Array) -> Array:
 
     Links are without deflections and effects; the tool is the model's, with both.
 
-    q : readings of one pose, shape (joints,) [rad or m]
+    q : joint variables of one pose, shape (joints,) [rad or m]
     """
     values = {p.name: ca.DM(p.value) for p in robot.parameters}
     T = np.array(ca.DM(base_frame(robot, values, ca.DM(robot.base.T))))

@@ -99,9 +99,9 @@ class Prior(Shown):
         return {name: float(np.mean((x < low) | (x > high))) for name, ((low, high), x) in columns.items()}
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
-        """Refuse frozen values where readings or logged columns are outside of the prior's ranges.
+        """Refuse frozen values where joints or logged columns are outside of the prior's ranges.
 
-        Raises InputError, also for a prior without ranges of readings.
+        Raises InputError, also for a prior without ranges of joint variables.
         """
         if not len(self.knowledge.readings):
             raise InputError(
@@ -117,7 +117,7 @@ class Prior(Shown):
     def learnt_from(self, sets: Sequence[Measurements]) -> bool:
         """Return whether the prior seems to have been learnt from these measurements.
 
-        They have a source in common and contain its extreme readings.
+        They have a source in common and contain its extreme joint variables.
         """
         theirs = self.knowledge.readings
         if not len(theirs) or not {m.source for m in sets} & set(self.knowledge.campaign.split(", ")):

@@ -165,7 +165,7 @@ def data_columns(
 ) -> Array:
     """Return a kernel's inputs that differ between poses, shape (numbers, n), a column per pose.
 
-    These are joint readings, conditions, measured arrays, 1/sigma and the root of a pose's weight.
+    These are joint variables, conditions, measured arrays, 1/sigma and the root of a pose's weight.
 
     observed : names of the measured arrays, as of the kernel
     points : initial position of each pose's unknown point in the measuring frame, shape (n, 3) [m]

@@ -424,8 +424,8 @@ class Identification(Result):
         their covariance in the robot's file or else by their priors, times a factor that follows
         from the departures that the poses do determine (see `prediction`).
 
-        q : shape (n, joints) [rad or m]: joint readings
-        conditions : logged columns by name, each of shape (n,)
+        q : joint variables, shape (n, joints) [rad or m]
+        conditions : logged columns by name, each of shape (n,); others are as declared
         """
         q = np.atleast_2d(q)
         m = unmeasured(q, conditions)
@@ -535,9 +535,9 @@ class Identification(Result):
 def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
     """Return covariance and ranges of validity of the calibrated values of an identification.
 
-    Parameters that were not identified have their earlier knowledge. Readings, logged columns and
-    campaign are those of these measurements, but those of `before` if the robot has effects of
-    which no parameter was identified.
+    Parameters that were not identified have their earlier knowledge. Ranges (of joint variables and
+    logged columns) and campaign are those of these measurements without outliers, but those of
+    `before` if the robot has effects of which no parameter was identified.
 
     before : knowledge of the robot that was given
     """

@@ -24,7 +24,7 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
     Lists in cells become columns, and rows with the positions of several targets as many rows.
     Targets on one flange keep their distances while the directions between them turn; coordinates
     in several frames, or nominal ones, do not. The column `tool` names the targets; copies of one
-    target, which lie together, have none. A table without them is returned unchanged.
+    target, which lie together, have none. In a table without several, lists alone are split.
 
     given : columns of the file that are assigned already
     """
@@ -84,7 +84,7 @@ def _rigid(a: Array, b: Array) -> bool:
 
 
 def _target_names(words: Sequence[set[str]]) -> list[str]:
-    """Return a name for each target, by the words of its headings that the others do not have."""
+    """Return a name for each target by the words that only its headings have; else target1, ..."""
     common = set.intersection(*words)
     own = ["_".join(sorted(w - common)) for w in words]
     if len({*own}) < len(own) or all(re.fullmatch(r"\d*", name) for name in own):
@@ -97,7 +97,7 @@ def _numbered(count: int) -> list[str]:
 
 
 def with_headings(raw: RawTable, names: Sequence[str]) -> RawTable:
-    """Return the table with other headings. Raises InputError: not one for each column."""
+    """Return the table with these headings. Raises InputError: not one for each column."""
     if len(names) != len(raw.header):
         raise InputError(
             f"{raw.path}: {len(names)} headings for {len(raw.header)} columns; the first row has "
@@ -177,7 +177,7 @@ def _keys(a: RawTable, b: RawTable) -> list[tuple[str, str]]:
 
 
 def _labels(cells: pd.Series) -> list[str] | None:
-    """Return cells as labels of poses, if they are words or whole numbers; None otherwise."""
+    """Return cells as labels of poses, if they are different words or whole numbers; else None."""
     numbers = numbers_of(cells)
     if np.isfinite(numbers).all():
         return [f"{n:.0f}" for n in numbers] if (numbers == numbers.round()).all() and np.ptp(numbers) else None
@@ -195,7 +195,7 @@ def _merged(a: RawTable, b: RawTable, left: str, right: str) -> pd.DataFrame:
 
 
 def _time(raw: RawTable) -> str:
-    """Return the only column of increasing times; empty if there is none."""
+    """Return the first column of times that never decrease; empty if there is none."""
     words = {n: words_of(n)[0] for n in raw.header}
     named = [n for n, w in words.items() if w == ["t"] or ({*w} & WORDS["time"] and not {*w} & WORDS["about"])]
     some = [n for n in named if (np.diff(in_seconds(raw.frame[n])) >= 0).all()]
@@ -203,7 +203,7 @@ def _time(raw: RawTable) -> str:
 
 
 def _seconds(raw: RawTable, name: str) -> Array:
-    """Return the times of a column [s]; whole numbers of ms, us or ns by their size."""
+    """Return the times of a column [s]; without a unit, ms, us or ns follow from their size."""
     seconds = in_seconds(raw.frame[name])
     unit = words_of(name)[1]
     factor = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
@@ -214,14 +214,17 @@ def _seconds(raw: RawTable, name: str) -> Array:
 
 
 def _overlap(a: RawTable, b: RawTable, left: str, right: str) -> bool:
-    """Return whether most times of one table are within those of the other."""
+    """Return whether over 80 % of the times of one table are within those of the other, +- 1 s."""
     x, y = _seconds(a, left), _seconds(b, right)
     inside = [np.mean((u >= v.min() - 1) & (u <= v.max() + 1)) for u, v in ((x, y), (y, x))]
     return bool(max(inside) > 0.8)
 
 
 def _by_time(a: RawTable, b: RawTable, left: str, right: str) -> RawTable:
-    """Return the rows of the table with fewer rows, with the nearest ones of the other table."""
+    """Return the rows of the table with fewer rows, with the nearest ones of the other table.
+
+    Rows without one within a median step of the other are omitted. Raises InputError: none is left.
+    """
     swap = len(a.frame) > len(b.frame)
     few, many = (b, a) if swap else (a, b)
     x, y = _seconds(few, right if swap else left), _seconds(many, left if swap else right)

@@ -81,7 +81,7 @@ def _without_flange(path: Path, arrays: Mapping[str, Array]) -> tuple[dict[str, 
 
 
 def _contents(content: Any) -> str:
-    """Return what a file holds, for messages."""
+    """Return the names in a file's content, else its type, for messages."""
     names = [str(k) for k in content if not str(k).startswith("__")] if isinstance(content, Mapping) else []
     return ", ".join(names)[:200] if names else type(content).__name__
 
@@ -134,7 +134,7 @@ def _columns(name: str, array: Array) -> dict[str, Array]:
 
 
 def headings_of(name: str, shape: tuple[int, ...]) -> list[str]:
-    """Return headings of the entries of a list or matrix in one cell, of this shape."""
+    """Return headings of the entries of a list or matrix of this shape: angles, _x or [i,j]."""
     words = {*re.findall(r"[^\W\d_]+", name.casefold())}
     if shape == (3,) and words & {"rpy", "ypr"}:
         angles = ("roll", "pitch", "yaw")
@@ -145,7 +145,7 @@ def headings_of(name: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def expanded(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a table whose cells that are lists of one size are split into columns.
+    """Return a table whose columns of lists of one size, in half of the cells, are split.
 
     Lists are in brackets, as ROS and numpy write them, or three or more numbers with blanks or
     semicolons between them.

@@ -197,7 +197,8 @@ def refined(
     """Return the noise by whitened residuals, and sigmas of lengths [m] and angles [rad].
 
     The components' variances are residual squares over redundancies (restricted maximum likelihood;
-    Foerstner 1979); exponents of the distance are the most probable of a grid, those of a prior 1 +- 1.
+    Foerstner 1979); exponents of the distance are the most probable of a grid, of a prior 1 +- 1.
+    With corners in images only the sigmas are estimated, by one standard deviation of a pixel.
 
     noise : by which they are whitened; sigmas : of lengths [m] and angles [rad] with it
     r, freedom : residuals in units of sigma and their redundancy numbers, shape (n, 6)

@@ -116,7 +116,7 @@ POSSIBLE_RANGES = {
 MAX_TURNS = 4
 # One turn, rounded up [rad]: numbers below may be radians, whatever unit their heading names.
 FULL_TURN_RAD = 6.3
-# Pattern of logged columns (warm-up, direction of approach) that must be numbers.
+# Pattern of logged columns (warm-up, direction of approach) that must be numbers or signs.
 _NUMERIC_CONDITIONS = re.compile(r"warmth_\w+|approach\d+")
 # Pattern of the columns that describe an orientation.
 ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
@@ -200,11 +200,11 @@ class Columns:
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
         """Return the columns under casadical's names, where the table's headings differ from them.
 
-        Rows for which a shift of rows gives no value are omitted.
+        Rows for which a shift of rows gives no value are omitted; rows of corners become stations.
 
         columns : casadical's name -> name in the table, or how it is computed from its columns
         point_from : columns whose words, joined by "/", name the touched point
-        Raises InputError: a named column is missing.
+        Raises InputError: a named column is missing, or shifted by all rows; corners are unusable.
         """
         sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in columns.items()}
         used = [*columns_used(sources), *((name, "named in point_from") for name in point_from)]
@@ -231,7 +231,8 @@ class Columns:
         """Return the columns with a row for each station, where each row was a corner in an image.
 
         Rows one after the other with equal joint readings are of one station, which has the row of its first corner;
-        the column `corners` has their number. Raises InputError: a cell is no number, or a station has few corners.
+        the column `corners` has their number. Raises InputError: a cell is no number, a station has
+        fewer than MIN_CORNERS, or the board is not flat.
         """
         flat = not {"board_z_mm", "board_z_m"} & {*self.table}
         of_board = [self.si(f"board_{c}", ("_mm", "_m")) for c in ("xy" if flat else "xyz")]
@@ -334,7 +335,7 @@ class Columns:
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
-        """Return a column of numbers, shape (n,) [its own unit].
+        """Return a column of numbers, shape (n,) [its own unit]; dates and signs become numbers.
 
         Raises InputError: it is missing, or holds cells that are no finite numbers or impossible.
         """
@@ -457,7 +458,7 @@ class Columns:
         return conditions
 
     def tools(self) -> dict[str, Array]:
-        """Return an indicator per name in the column `tool`: "tool_NAME" -> shape (n,), boolean 0 or 1.
+        """Return an indicator per name in the column `tool`: "tool_NAME" -> shape (n,), 0 or 1 [-].
 
         Empty without that column. Raises InputError: an empty cell.
         """
@@ -519,7 +520,7 @@ def numbers_of(cells: pd.Series) -> Array:
 
 
 def signs_of(cells: pd.Series) -> Array:
-    """Return cells of directions as -1 and 1, shape (n,): signs and words, numbers unchanged."""
+    """Return directions as -1 and 1, shape (n,): signs and words; numbers as they are, else NaN."""
     words = {"+": 1.0, "-": -1.0, "−": -1.0, "–": -1.0, "pos": 1.0, "neg": -1.0, "plus": 1.0, "minus": -1.0}
     texts = cells.astype(str).str.strip().str.casefold().str.replace(r"iti(v|ve|f)$|ati(v|ve|f)$", "", regex=True)
     return np.where(texts.isin(words), texts.map(words), numbers_of(cells)).astype(float)
@@ -528,7 +529,8 @@ def signs_of(cells: pd.Series) -> Array:
 def in_seconds(cells: pd.Series) -> Array:
     """Return cells of times as numbers, shape (n,): dates as seconds since 1970, numbers unchanged.
 
-    Numbers that write a date in digits, such as 20261121143005, count as dates.
+    Numbers that write a date in digits, such as 20261121143005, count as dates. Other words, and
+    dates among numbers, are NaN; so is all where one date is not readable.
     """
     numbers = numbers_of(cells)
     form, first = "mixed", False

@@ -58,7 +58,7 @@ class Images(NamedTuple):
         return np.asarray(self.corners[self.seen][:, 2:5].mean(axis=0))
 
     def corrected(self, errors: CameraErrors) -> Images:
-        """Return the corners with intrinsics and board coordinates corrected for errors."""
+        """Return corners with corrected intrinsics and board coordinates; `root` is not updated."""
         corners, intrinsics, root = self.corners.copy(), self.intrinsics.copy(), self.root
         corners[:, :, 2:5] /= 1 + errors.board
         intrinsics[:, :2] /= 1 + errors.focal

@@ -16,27 +16,28 @@ TIME_COLUMN = "time_s"
 # instrument's head; the direction of shorter ones is dominated by noise.
 MIN_WAY_M = 0.01
 # Function that returns the gravity torques as shares of the joints' peak ones, shape (n, joints),
-# from readings, shape (n, joints) [rad or m], and logged columns (see `Robot.loads`).
+# from joint variables, shape (n, joints) [rad or m], and logged columns (see `Robot.loads`).
 Loads = Callable[[Array, Mapping[str, Array]], Array]
 
 
 def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) -> tuple[Measurements, tuple[str, ...]]:
     """Return the measurements with the named columns added, and the names that cannot be derived.
 
-    A column cannot be derived where a logged column or joint that it needs is missing. Columns:
+    A column cannot be derived where a logged column or joint that it needs is missing; logged ones
+    stay. Columns, all in the order of measuring (by time_s, else pose, else rows):
 
-    - progress: place in the order of measuring, 0 to 1 (by pose or time_s; else by the rows)
+    - progress: place in this order, 0 to 1
     - warmth_600s: temperature_degC through a first-order lag of 600 s, less its mean [K]
-    - approach2: direction of joint 2's last motion, -1 or 1, from the order of the poses
+    - approach2: direction of joint 2's last motion, -1 or 1; 0 before the first one
     - move2: joint 2's change since the pose before, 0 for the first pose [rad or m]
     - memory2_300mrad: hysteresis state of joint 2, -1 to 1, that approaches the direction of
       motion exponentially over 0.3 rad (Dahl 1968)
     - play2_300mrad: position of a part that joint 2 drives through a play of 0.3 rad to each
       side [rad or m]; a relay with play is a step function of it
-    - heat2_600s: square of joint 2's load through a first-order lag of 600 s
-    - head_1500_m200_0mm: sense of the last rotation, -1 or 1, of the head of an instrument that
-      stands at [1.5, -0.2, 0] m in the measuring frame and follows the measured point; motions
-      of the point of less than 10 mm across the beam are ignored
+    - heat2_600s: square of joint 2's load, as a share of its peak, after a lag of 600 s
+    - head_1500_m200_0mm: sense of the last rotation, -1 or 1, 0 before the first, of the head of
+      an instrument at [1.5, -0.2, 0] m in the measuring frame that follows the measured point;
+      motions of the point of less than 10 mm across the beam are ignored
 
     m : campaign with its logged columns
     names : columns to derive, of the forms above with other joints and numbers
@@ -162,10 +163,7 @@ def _head_rotation_sense(m: Measurements, station: Sequence[float], order: Array
 
 
 def _moves(q: Array) -> Array:
-    """Return the change of a joint's reading since the pose before, shape (n,), first one zero.
-
-    q : readings of the joint in the order of measuring, shape (n,) [rad or m]
-    """
+    """Return the changes of a joint's variable q, (n,), since the pose before, (n,), first 0."""
     return np.diff(q, prepend=q[0])
 
 

@@ -117,7 +117,7 @@ class Heading:
     unit : word of the unit, or empty
     rest : words without a recognised meaning, which tell groups of columns apart
     values : cells as numbers, shape (n,)
-    led : kind of a joint, and of its leader kind, factor of the reading and offset, as of `Joint`
+    led : kind of a joint, then kind, factor and offset of its leader, whose column this is; or None
     numbers : numbers in the heading of a position
     """
 
@@ -257,7 +257,7 @@ def _times(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Under
 def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
     """Yield the column `tool` if a column of words names the measured target of each row.
 
-    Its heading has a word for a target, and it has few names, each at six poses on average.
+    Its heading has a word for a target, and it has few names, each at six poses or more on average.
     """
     for name in raw.header:
         words = set(words_of(name)[0])
@@ -392,10 +392,11 @@ def _groups(headings: Sequence[Heading], quantity: str, slots: Sequence[str]) ->
 
 
 def position_groups(raw: RawTable) -> list[list[Heading]]:
-    """Return all groups of columns that are the x, y and z of a point, nominal ones excluded.
+    """Return all groups of columns that are the x, y and z of a point, without nominal ones.
 
-    Columns whose headings differ in the letter x, y or z alone are groups, too, and so are two
-    indices in headings, of points and of coordinates.
+    A nominal "target" counts as measured where there is no other point. Columns whose headings
+    differ in the letter x, y or z alone are groups, too, and so are columns with two indices, of
+    points and of coordinates.
     """
     groups: dict[tuple[object, ...], dict[str, Heading]] = {}
     headings = {h.name: h for h in _headings(raw, ()) if h.quantity == "position"}
@@ -429,7 +430,7 @@ def position_groups(raw: RawTable) -> list[list[Heading]]:
 def points_in_order(raw: RawTable) -> list[list[Heading]]:
     """Return groups of three neighbouring columns of a table without headings that may be points.
 
-    Of the rows or columns of rotation matrices there are none.
+    There are none where some columns are rotation or homogeneous matrices.
     """
     columns = [Heading(n, "", "", "", "", frozenset(), numbers_of(raw.frame[n])) for n in raw.header]
     moving = [np.isfinite(h.values).mean() > 0.5 and np.nanstd(h.values) > 0 for h in columns]
@@ -703,7 +704,7 @@ def _is_unit(group: Sequence[Heading]) -> bool:
 
 
 def _is_rotation(group: Sequence[Heading]) -> bool:
-    """Return whether the rows of nine columns are rotation matrices, as far as they are finite."""
+    """Return whether the finite rows of nine columns are orthonormal matrices, mirrored or not."""
     R = _finite(group).reshape(-1, 3, 3)
     return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < ROTATION_TOLERANCE).all())
 
@@ -735,7 +736,8 @@ def _by_unit(
 ) -> list[tuple[str, list[Understood]]]:
     """Return (unit, columns under casadical's names) of possible units, the most probable first.
 
-    There is one entry, with an empty unit, where the unit is stated or the quantity has none.
+    There is one entry, with an empty unit, where the unit is stated or certain by the size of the
+    numbers, or the quantity has none.
 
     members, names : headings and casadical's names, without units; quantity : "angle", "length" or
         empty; stated : quantity -> unit that a comment states

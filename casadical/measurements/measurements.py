@@ -46,9 +46,9 @@ class Noise:
 # Names of the sets of poses: identification, training of networks, choice among them, report.
 SETS = ("identify", "train", "choose", "report")
 
-# Largest difference of each joint's readings [rad or m] with which two poses count as the same.
+# Largest difference of each joint's variable [rad or m] with which two poses count as the same.
 SAME_READING_TOLERANCE = 1e-6
-# Largest difference of each joint's readings [rad or m] between measurements of several targets at
+# Largest difference of each joint's variable [rad or m] between measurements of several targets at
 # one pose of the robot, which stands still.
 STANDSTILL_TOLERANCE = 5e-4
 # Largest width of a cell of equal readings (`same_readings`), as a multiple of the tolerance, where
@@ -63,16 +63,19 @@ FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 class Measurements(Shown):
     """Poses of one robot and what was observed at them, all of one kind; SI units.
 
-    q : joint readings, shape (n, joints) [rad or m]
+    q : joint variables, shape (n, joints) [rad or m]: those of the robot file's rows, which are the
+        controller's readings unless the file states how it counts
     kind : what was observed: position, pose, distance, pair_distance, contact, or another
         registered kind
-    position : measured point in the measuring frame, shape (n, 3) [m]: of kinds position and pose
+    position : measured point in the measuring frame, shape (n, 3) [m]: of kinds position,
+        position_covariance and pose
     orientation : of the tool in the measuring frame, shape (n, 3, 3): of kind pose
-    distance : shape (n,) [m]: of kinds distance and pair_distance
+    distance : shape (n,) [m]: of kinds distance and pair_distance; of kind sphere its radius
     target : given anchor of a distance in the measuring frame, shape (n, 3) [m]; None where it is
         identified
-    other : readings at the other end of a pair distance, shape (n, joints) [rad or m]
-    label : name of the unknown point that is touched, shape (n,), of kind contact
+    other : joint variables at the other pose, shape (n, joints) [rad or m]: of kinds pair_distance
+        and relative_pose
+    label : name of the unknown point, plane, ball, anchor or gauge of each pose, shape (n,)
     extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than
         these
     separations : given distances (label, label, distance [m]) between touched points
@@ -82,7 +85,7 @@ class Measurements(Shown):
         estimated from the fit
     datasheet : largest error of a point that the instrument's data sheet states [m]; None: not
         given
-    weight : factor on each pose's residual, shape (n,)
+    weight : factor on each pose's squared residual, shape (n,), zero or positive
     row : line of the source at which each pose stands, shape (n,)
     source : file name or description
     unused : columns that nothing reads: those of words, or without a cell
@@ -189,7 +192,7 @@ class Measurements(Shown):
         return View(seen.position, seen.orientation, self.camera, images)
 
     def in_camera_axes(self) -> Measurements:
-        """Return the measurements with noise in the camera's axes, where a camera measured poses."""
+        """Return measurements with noise in the camera's axes if a camera saw poses; else self."""
         if self.noise or not self.camera or self.kind != "pose":
             return self
         return replace(self, noise=initial_noise(self.view))
@@ -200,9 +203,7 @@ class Measurements(Shown):
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
-        """Return the same poses as kind position, without other observations.
-
-        Raises InputError: no positions."""
+        """Return the poses as kind position alone. Raises InputError if no positions were measured."""
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 
@@ -286,7 +287,7 @@ class Measurements(Shown):
         pair distance whose ends fall in two sets is omitted; poses of one contact point may fall
         in two.
 
-        Raises InputError: impossible sizes.
+        Raises InputError: impossible sizes, or a set without poses.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
         several = sum(name.startswith("tool_") for name in self.conditions) > 1
@@ -328,21 +329,19 @@ class Measurements(Shown):
 def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: str = "table") -> Measurements:
     """Return poses without measurements, for predictions: kind position, every position zero.
 
-    q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape
-        (n,)
+    q : joint variables, shape (n, joints) [rad or m]; conditions : logged columns, (n,) each
     """
     zero = np.zeros((len(q), 3))
     return Measurements(q=q, kind="position", position=zero, conditions=dict(conditions or {}), source=source)
 
 
 def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
-    """Return the number of each pose's group of equal readings, shape (n,), from 0.
+    """Return the number of each pose's group of equal joint variables, shape (n,), from 0.
 
-    Each joint's sorted readings are cut into cells at the gaps; poses in the same cells are the
-    same.
+    Each joint's sorted values are cut into cells at the gaps; poses in the same cells are the same.
 
-    q : readings, shape (n, joints) [rad or m]
-    within : smaller differences are no gaps [rad or m]; where readings are so dense that there are
+    q : joint variables, shape (n, joints) [rad or m]
+    within : smaller differences are no gaps [rad or m]; where values are so dense that there are
         no gaps, a cell ends at `MAX_CELL_WIDTH` times this width
     """
     cells = np.empty(q.shape, dtype=int)
@@ -357,9 +356,7 @@ def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
 
 
 def _refuse_malformed(m: Measurements) -> None:
-    """Check shapes and values of all arrays.
-
-    Raises InputError that names source, entry, row and value."""
+    """Check shapes and values of all arrays. Raises InputError that names source and entry."""
     if m.q.ndim != 2:
         raise InputError(f"{m.source}: q has shape {m.q.shape}; it must be (poses, joints)")
     arrays = m.arrays

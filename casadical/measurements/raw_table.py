@@ -78,7 +78,7 @@ def _refuse_header(header: Sequence[str], path: Path) -> None:
 
 
 def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool = True) -> RawTable:
-    """Read a table: text in any usual encoding, separator and decimal sign, .xlsx or .parquet.
+    """Return the table in a file: text in any usual form, .xlsx, .parquet, or one of ARRAY_FILES.
 
     Reading .xlsx needs openpyxl, reading .parquet pyarrow. The file may be gzipped. Comments,
     titles above the headings, a row of units, repeated headings and blank lines are no rows.
@@ -363,7 +363,7 @@ def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
 
 
 def _made_unique(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return headings of which three or more occur equally often, the second ones with a "2 " before.
+    """Return headings of which three or more occur equally often, with "2 " before second ones
 
     Several targets side by side may all be headed X, Y, Z; other repeated headings stay.
     """

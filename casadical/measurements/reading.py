@@ -89,8 +89,8 @@ def from_table(
 ) -> Measurements:
     """Return the measurements in a pandas table; arguments and errors as of `read_measurements`.
 
-    table : with the columns of docs/measurements.md; source : what messages call it
-    Raises InputError: the table names no usable poses; row and column are named.
+    table : with the columns of docs/measurements.md, or others that `columns` names: other headings
+        are not interpreted; source : what messages call it
 
     Examples
     --------
@@ -204,7 +204,7 @@ def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Ar
 def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:
     """Return planned poses, not measured yet, as kind position with every position zero.
 
-    Readings and conditions are those of the columns. Raises InputError as `from_columns`.
+    Joint variables and conditions are those of the columns. Raises InputError as `from_columns`.
     """
     positions = [f"{c}{unit}" for c in "xyz" for unit in ("_mm", "_m")]
     table = columns.table.drop(columns=positions, errors="ignore")
@@ -212,9 +212,10 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
 
 
 def _without_copies(m: Measurements) -> Measurements:
-    """Return the measurements without rows that are equal to an earlier one to the last digit.
+    """Return the measurements without rows that repeat an earlier one to the last digit.
 
-    They are copies, not repeated measurements; the dropped rows are listed in `copies`.
+    Joint variables and observations are compared, not logged columns. Such rows are copies, no
+    repeated measurements; they are listed in `copies`.
     """
     hashes = _hashes(_numbers(m))
     alike = np.flatnonzero(pd.Series(hashes).duplicated(keep=False))
@@ -228,7 +229,7 @@ def _without_copies(m: Measurements) -> Measurements:
 
 
 def _numbers(m: Measurements) -> list[Array]:
-    """Return readings and observed arrays as numbers, each of shape (n, k); names as hashes."""
+    """Return joint variables and observed arrays as numbers, (n, k) each; names as hashes."""
     names = {
         name: pd.util.hash_array(v.astype(str).astype(object)) >> 11
         for name, v in m.arrays.items()
@@ -238,10 +239,7 @@ def _numbers(m: Measurements) -> list[Array]:
 
 
 def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
-    """Check that no table has half of its rows or more in common with another one of its kind.
-
-    Raises InputError.
-    """
+    """Check that no tables of a kind share half of the smaller one's rows. Raises InputError."""
     rows = [np.unique(_hashes(_numbers(m))) for m in sets] if len(sets) > 1 else []
     if not rows or len(np.unique(np.concatenate(rows))) == sum(map(len, rows)):
         return

@@ -18,7 +18,7 @@ from casadical.measurements.vocabulary import UNITS, hits
 
 # Beginnings of lines that are comments.
 COMMENTS = ("#", "//", "%", "!")
-# Number of lines, without comments, from which the separator is recognised.
+# Maximum number of lines from which separator (without comments) and decimal sign are recognised.
 SAMPLE_LINES = 200
 # Pattern of a number with a decimal point.
 _POINT_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
@@ -35,7 +35,7 @@ Record = tuple[int, list[str]]
 class Form:
     """How a file writes its table.
 
-    encoding, separator, decimal : of the text
+    encoding, separator, decimal : of the text; encoding may be the kind of another file, "parquet"
     header_line : line of the file with the headings, 0 where there is none
     units : unit of each column, from a row of units below the headings; empty without one
     skipped : lines that are no rows of the table (comments, titles, repeated headings), with their
@@ -125,7 +125,7 @@ def clean(cell: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with a decimal point or a decimal comma."""
+    """Return whether a cell is a number, with decimal point or comma, or commas at thousands."""
     text = clean(cell)
     return bool(_POINT_NUMBER.fullmatch(text) or _COMMA_NUMBER.fullmatch(text) or _THOUSANDS_NUMBER.fullmatch(text))
 
@@ -135,7 +135,7 @@ def separator_of(text: str) -> str:
 
     For a text without rows it is the most frequent separator of the first line.
     """
-    # Number of characters of a text, with comments, from which the separator is recognised.
+    # Maximum number of characters, with comments, from which the separator is recognised.
     max_sample_characters = 1_000_000
     if len(text) > max_sample_characters:
         text = text[:max_sample_characters].rpartition("\n")[0] or text
@@ -179,8 +179,7 @@ def as_plain_number(cell: str, decimal: str) -> str:
     decimal : decimal sign of the table, "." or ","
     """
     # Length of a number [characters] from which on it is rounded to a double, as pandas reads
-    # longer
-    # whole numbers as Python objects.
+    # longer whole numbers as Python objects.
     max_number_characters = 40
     if len(cell) < max_number_characters and _POINT_NUMBER.fullmatch(cell):
         return cell

@@ -14,15 +14,15 @@ from casadical.measurements.columns import Columns
 # Observed arrays by name, the first dimension of each over the poses.
 Arrays = Mapping[str, Array]
 # Function that returns positions of the measured point in the measuring frame, shape (n, 3) [m], at
-# other readings of the same poses, shape (n, joints) [rad or m].
+# other joint variables of the same poses, shape (n, joints) [rad or m].
 PositionsAt = Callable[[Array], Array]
 
 
 class PoseExpression:
     """CasADi expressions of which the residual of one pose is built, in metres and radians.
 
-    model : readings -> (position, orientation) in the measuring frame, under this pose's conditions
-    q : joint readings
+    model : joint variables -> (position, orientation) in the measuring frame, under its conditions
+    q : joint variables
     point : deviation of the unknown point from its start, shape (3,) [m], where the kind has one
 
     Its fields: `p`, the measured point of the model in the measuring frame, shape (3,), and `R`,
@@ -58,18 +58,16 @@ class PoseExpression:
         return self.observed[name]
 
     def position_at(self, q: Symbolic) -> Symbolic:
-        """Return the measured point at other readings in the measuring frame, shape (3,) [m].
+        """Return the measured point at other joints in the measuring frame, shape (3,) [m].
 
-        q : joint readings, shape (joints,) [rad or m]; all else is as at this pose
+        q : joint variables, shape (joints,) [rad or m]; all else is as at this pose
         """
         return self.pose_at(q)[0]
 
     def pose_at(self, q: Symbolic) -> tuple[Symbolic, Symbolic]:
-        """Return measured point (3,) [m] and orientation (3, 3) at other readings.
+        """Return point (3,) [m] and orientation (3, 3) in the measuring frame at other joints.
 
-        They are in the measuring frame.
-
-        q : joint readings, shape (joints,) [rad or m]; all else is as at this pose
+        q : joint variables, shape (joints,) [rad or m]; all else is as at this pose
         """
         p, R = self._model(q)
         return p, R
@@ -157,9 +155,9 @@ class MeasurementKind(ABC):
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Return the arrays of a table by name, optional ones too, one row per pose [SI].
 
-        The entry `counted` is 0 for rows at which nothing was measured, else 1.
+        An entry `counted` may be 0 for rows at which nothing was measured, else 1.
 
-        q : joint readings, shape (n, joints) [rad or m]
+        q : joint variables, shape (n, joints) [rad or m]
         Raises InputError: a column is missing, or holds what cannot be measured.
         """
 
@@ -177,7 +175,7 @@ class MeasurementKind(ABC):
 
         arrays : observed arrays of the n poses
         p : positions of the model in the measuring frame, shape (n, 3) [m]
-        positions_at : function that returns them at other readings, shape (n, joints)
+        positions_at : function that returns them at other joint variables, shape (n, joints)
         """
 
     def at_rest(self, arrays: Arrays) -> bool:
@@ -214,6 +212,6 @@ class MeasurementKind(ABC):
         """Return a sentence if the measured lengths must be in another unit, else an empty text.
 
         p : positions of the nominal model in the measuring frame, shape (n, 3) [m]
-        positions_at : function that returns them at other readings; reach : of the robot [m]
+        positions_at : function that returns them at other joints; reach : of the robot [m]
         """
         return ""

@@ -55,8 +55,8 @@ class Distance(OfPoints):
     def start(self, arrays: Arrays, p: Array) -> Array:
         """Return the position of one anchor that fits its distances best, shape (3,) [m].
 
-        Single wrong distances, at most a fifth, are omitted: by least squares one of 300 mm among
-        ten would move the anchor so far that all ten seem wrong. Two among ten may hide each other.
+        Single wrong distances, at most a fifth of 8 or more, are omitted: by least squares one of
+        300 mm would move the anchor so far that all seem wrong. Two among ten may hide each other.
 
         p : positions of the model in the measuring frame, shape (n, 3) [m]
         """
@@ -189,10 +189,10 @@ class PairDistance(MeasurementKind):
     lengths = 1
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return `distance`, shape (n,) [m], and `other`, the readings at the other pose.
+        """Return `distance`, shape (n,) [m], and `other`, the joint variables at the other pose.
 
         The latter have shape (n, joints) [rad or m].
-        Raises InputError: a pose that is not in the table.
+        Raises InputError: a pose that is not in the table, or a distance that is not positive.
         """
         return {"distance": positive_lengths(columns, "distance"), "other": q[other_poses(columns)]}
 

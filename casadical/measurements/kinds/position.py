@@ -161,7 +161,7 @@ class Corners(Pose):
     gives = "pose"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return the poses of the board in the camera as of kind pose, and arrays `corners` and `intrinsics`.
+        """Return the board's poses in the camera as of kind pose, and the arrays of `Images`.
 
         Raises InputError: no intrinsics.
         """
@@ -279,8 +279,9 @@ class RelativePose(MeasurementKind):
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
         """Return `shift` (n, 3) [m], `turn` (n, 3, 3), `other` (n, joints), and `counted` (n,).
 
-        Shift and rotation are of the tool in its own frame at the other pose, whose readings [rad
-        or m] are `other`; `counted` is 0 for rows that have no other pose, else 1.
+        Shift and rotation are of the tool in its own frame at the other pose, whose joint variables
+        [rad or m] are `other`; `counted`, absent where a column names other poses, is 0 for rows
+        that have none, else 1.
         Raises InputError: a first row with a shift or rotation, though no row is before it.
         """
         arrays = {"shift": columns.vector("d"), "turn": orientations(columns)}

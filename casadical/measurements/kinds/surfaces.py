@@ -119,9 +119,7 @@ class Sphere(Distance):
                 "data sheet or by a calliper"
             )
         radius = positive_lengths(columns, "radius")
-        # Minimum number of poses that touch one ball: one more than the four that determine a
-        # centre and a
-        # radius.
+        # Minimum number of poses that touch one ball: one more than determine centre and radius.
         min_touches_per_sphere = 5
         remedy = f"touch it at {min_touches_per_sphere} poses at least, all around"
         label = labels_touched_often(

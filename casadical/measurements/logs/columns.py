@@ -62,7 +62,8 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     """Return the log in a table, its columns in the file's units and order of joints.
 
     names : of the robot's joints; listed : of the joints in columns whose cells are lists
-    Raises InputError: no time, no channel, or lists of other lengths than the names.
+    Raises InputError: no time, no channel, a cell that is no number, two columns of casadical's own
+    names for one channel of a joint, or lists of other lengths than the names.
     """
     source, frame = raw.path.name, raw.frame
     below = dict(zip(raw.header, raw.form.units, strict=False))
@@ -205,7 +206,9 @@ def _channel(words: Sequence[str]) -> str:
 
 
 def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the joint (a name or number) that the words of a heading name, and the other words.
+    """Return the joint that the words of a heading name, and the other words.
+
+    It is one of `names`, else the words without another meaning, such as a number; or empty.
 
     names : of the robot's joints
     """

@@ -221,7 +221,7 @@ def _between(log: JointLog) -> Iterator[str]:
 def _alike(log: JointLog) -> Array:
     """Return correlations of each joint's command (row) with each joint's position (column).
 
-    The shape is (joints, joints); NaN for joints at rest.
+    The shape is (joints, joints); NaN for joints at rest, and for fewer than three complete rows.
     """
     assert log.command is not None
     good = np.isfinite(log.command).all(axis=1) & np.isfinite(log.position).all(axis=1)
@@ -239,7 +239,7 @@ def _speed_delay(log: JointLog) -> tuple[float, float] | None:
     """Return the delay [s] of logged speeds behind the slope of positions, and their scale factor.
 
     To first order v(t) = scale (q'(t) - delay q''(t)); both by least squares over all joints. None
-    is returned where nothing moves.
+    where the motion does not determine them, or the scale is not positive.
     """
     assert log.speed is not None
     whole = np.zeros((2, 2))
@@ -261,7 +261,7 @@ def _speed_delay(log: JointLog) -> tuple[float, float] | None:
 
 
 def with_signs(log: JointLog) -> JointLog:
-    """Return the log with a torque or current that is never negative marked as an unsigned current.
+    """Return the log with a torque or current that is never negative as an unsigned current.
 
     This applies if at least two joints move both ways while it comes near to zero.
     """

@@ -37,11 +37,10 @@ class JointLog(Shown):
 
     time : shape (n,) [s]: grows within a run, and may begin again in the next one
     joints : names, in the order of the columns of the channels, each of shape (n, joints)
-    position : as the encoders read [rad or m]
-    command : position as sent to the drives [rad or m]
-    speed, command_speed : measured and commanded speed [rad/s or m/s]
-    torque : of the drive, as the controller reports it [N m or N]
-    current : of the motor [A]
+    position, command : measured and commanded joint variables [rad or m]
+    speed, command_speed : measured and commanded speed of these [rad/s or m/s]
+    torque : of the drive, as the controller reports it, at these variables [N m or N]
+    current : of the motor [A], at these variables, too, where the controller counts otherwise
     temperature : [degC]
     current_unsigned : whether the current is an absolute value, or a raw one of unknown sign
     signs_lost : channel (torque, current) whose heading promises a sign that its numbers lack; or
@@ -134,7 +133,7 @@ class JointLog(Shown):
 
     @cached_property
     def step(self) -> float:
-        """The median time between two rows of a run [s]."""
+        """The median time between two rows of a run [s]; 0 without such rows."""
         steps = np.diff(self.time)[np.diff(self.run) == 0]
         return float(np.median(steps)) if len(steps) else 0.0
 
@@ -142,7 +141,8 @@ class JointLog(Shown):
 def joined(logs: Sequence[JointLog]) -> JointLog:
     """Return several logs of one arm as one, each run with a number of its own.
 
-    Channels that not every log has are dropped, and so are the findings, which are of single logs.
+    Channels that not every log has are dropped, and so are the findings, which are of single logs;
+    a single log is returned unchanged.
     Raises InputError: logs of other joints.
     """
     first, *others = logs

@@ -45,7 +45,8 @@ def read_log(
     path : table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known,
         too), a folder of SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag,
         or the folder with metadata.yaml)
-    robot : its joints, by their names or their order, are those of the log; others are dropped
+    robot : its joints, by their names or their order, are those of the log, as variables of its
+        rows; others are dropped
     unit : of angles whose unit the file does not state; percent: of half a joint's range about its
         middle; None: as [drive] of the robot states
     effort : quantity in the field effort; None: as [drive] of the robot states, else torque
@@ -70,8 +71,9 @@ def read_log(
 def is_log(path: str | Path) -> bool:
     """Return whether a file is a log of joints in motion, by its form or its headings.
 
-    A table is one if it has a time, joint positions, and commands, torques or currents; one with a
-    time and motion alone counts too, so that the reader can say what it lacks.
+    A table is one if it has a time, joint positions, and commands, torques or currents, but no
+    measured points or distances; one with a time and motion alone counts too, so that the reader
+    can say what it lacks.
     """
     path = Path(path)
     if path.name == SAGE_STATE_FILE or is_bag(path) or (path / SAGE_STATE_FILE).exists():
@@ -130,6 +132,8 @@ def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
 
 def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointLog:
     """Return a log as read from a file in SI, with joints in the robot's order and runs numbered.
+
+    Coupled joints are computed, and the controller's readings become the variables of the rows.
 
     unit : as of `read_log`. Raises InputError without positions of the robot's joints.
     """
@@ -248,8 +252,8 @@ def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ..
 def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return time (k,) [s] and run number (k,) of the used rows, their indices, and sentences.
 
-    The sentences are on new runs that were inferred, and on rows that are omitted. Raises
-    InputError for a clock that cannot be used.
+    Times that start above 1e6 s are counted from the first. The sentences are on new runs that were
+    inferred, and on omitted rows. Raises InputError for a clock that cannot be used.
     """
     run = log.scalars.get("run")
     numbers = np.zeros(len(log.time)) if run is None else run

@@ -27,9 +27,7 @@ BAG_SUFFIXES = (".db3", ".mcap", ".bag")
 
 
 def sage(folder: Path) -> Logged:
-    """Return the log in a folder of SAGE: states, commands and the list of joints.
-
-    Raises InputError."""
+    """Return the log in a folder of SAGE: states and, where logged, commands. Raises InputError."""
     names = [clean(line) for line in read_text(folder / "joint_list.txt").splitlines() if line.strip()]
     states = logged(read_table(folder / SAGE_STATE_FILE), listed=names)
     # File of the commands in a folder of SAGE.
@@ -88,9 +86,7 @@ class _Stream:
 
 
 def bag(path: Path) -> Logged:
-    """Return the joint states of a ROS bag or an MCAP file, and the commands in it.
-
-    Raises InputError."""
+    """Return the joint states and commands of a ROS bag or an MCAP file. Raises InputError."""
     streams, topics = _streams(path, _READERS)
     logs = [_of_stream(stream, path) for stream in streams.values()]
     if not any("position" in log.channels for log in logs):
@@ -103,7 +99,7 @@ def bag(path: Path) -> Logged:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a file or folder is a ROS bag or an MCAP file, by its name and what is in it."""
+    """Return whether a file is a ROS bag or MCAP file by its name, or a folder by metadata.yaml."""
     return path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").exists()
 
 
@@ -259,10 +255,7 @@ def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, read: _Reader, me
 
 
 def _of_stream(stream: _Stream, path: Path) -> Logged:
-    """Return a ROS topic's messages as a log, timed by their stamps, else by their receipt [s].
-
-    path : of the bag
-    """
+    """Return a ROS topic's messages as a log, timed by their stamps, else by their receipt [s]."""
     stamps, received = np.array(stream.stamps), np.array(stream.received)
     notes = []
     if stamped := bool((stamps > 0).all()):
