@@ -209,7 +209,7 @@ _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
 @contextmanager
 def importing() -> Iterator[None]:
-    """Run a block of imports without garbage collection, from which its objects then stay exempt."""
+    """Run a block of imports without garbage collection; its objects then stay exempt from it."""
     gc.disable()
     try:
         yield

@@ -69,8 +69,8 @@ class Calibration(Result):
     refitted : by method, identifications from all poses of the tables, which are written where the
         problem says so (`refit`); accuracies, figures and sentences are of `identifications`, which
         have not seen the held-out poses
-    corrected : which of arm and camera is wrong before the camera's errors were taken off all poses; None where
-        none was sure
+    corrected : judgement by which errors of the camera were taken off all poses; None where none of
+        them was sure
 
     Examples
     --------
@@ -135,17 +135,17 @@ class Calibration(Result):
 
     @property
     def written_robot(self) -> Robot:
-        """Return the robot calibrated by the last method, as it is written."""
+        """Return the last method's robot of `written`: with a refit, fitted to all poses."""
         return list(self.written.values())[-1].robot
 
     @cached_property
     def hand_eye(self) -> HandEye | None:
-        """Return the hand-eye transform that is written; None where no camera measured poses."""
+        """Return the hand-eye transform that is written, or None (see `hand_eye_of`)."""
         return hand_eye_of(list(self.written.values())[-1])
 
     @cached_property
     def hand_eye_nominal(self) -> HandEye | None:
-        """Return the hand-eye transform for the nominal arm; None where no camera measured poses."""
+        """Return the hand-eye transform for the nominal arm, or None (see `hand_eye_of`)."""
         return hand_eye_of(list(self.written.values())[-1], nominal=True)
 
     @cached_property
@@ -155,9 +155,9 @@ class Calibration(Result):
 
     @property
     def worse(self) -> str:
-        """Return why errors of held-out poses have grown, and the remedy; empty if they have not.
+        """Return why errors of held-out poses have grown by more than chance, and the remedy.
 
-        Empty, too, where no poses were held out.
+        Empty where they have not, or no poses were held out.
         """
         _, before, after, held_out = judged_on(self.accuracies)
         return outcome.worse_than_before(self.identification, before, after) if held_out else ""
@@ -446,9 +446,9 @@ def _refitted(problem: Problem, results: Mapping[str, Identification], show: Sho
 def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identification]:
     """Return the identification by each method; the last one decides on outliers and compliance.
 
-    Without a declared compliance that shows in the data, SKCM is omitted if another method is left
-    and no networks learn its residual. If the written robots are fitted to all poses, it is enough
-    that all poses show it.
+    Where the robot file declares no compliance and the data show none, SKCM is omitted if another
+    method is left and no networks learn its residual. With a later refit to all poses, compliance
+    that only all poses show counts, too.
 
     count : number of parts of the work, for the progress
     """

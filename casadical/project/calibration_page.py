@@ -163,7 +163,7 @@ def calibration_figures(
     more = legend_caption + (outlier_caption if any(p.left_out for p in poses.values()) else "")
     refused_caption = " Refused networks are drawn as they were trained; they are not in use."
     more += refused_caption if any(r.compensator and not r.helps for r in trained) else ""
-    # Captions of the figures of each set; the next three are added where they apply.
+    # Captions of the figures of each set, to which `more` is appended.
     caption_of_set = {
         "report": "No model saw these poses.",
         "identify": "Poses that identified the parameters; errors here are smaller than on new poses.",

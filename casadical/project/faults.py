@@ -179,10 +179,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
 
 
 def _check_ranges(robot: Robot, columns: Columns, kind: str | None) -> None:
-    """Check readings against the joint limits. Raises FaultsError.
-
-    Other contradictions to the robot are found by the command itself.
-    """
+    """Raise the FaultsError of `check_against` (joint limits, payloads); other errors pass."""
     try:
         check_against(robot, from_columns(columns, [j.kind for j in robot.joints], kind))
     except FaultsError:

@@ -157,7 +157,7 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         with_positions = [m for m in result.used if m.position is not None]
         readings = 3 * sum(map(len, with_positions))
         # Without a set to train on, the poses that identified the robot are lent, if there are so
-        # many readings per parameter that the identification did not fit their noise.
+        # many coordinates per parameter that the identification did not fit their noise.
         if readings < 20 * len(result.names) or len(with_positions[0]) < 40:
             return (
                 f"no network: there is no set train, and {readings} readings for "

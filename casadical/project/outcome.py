@@ -155,7 +155,7 @@ def network_tables(networks: Networks) -> list[Table | Words]:
 
 
 def paper_tables(paper: Paper | None, accuracies: Accuracies, networks: Networks | None = None) -> list[Table | Words]:
-    """Return tables of our mean, max and std of errors [mm] next to the published ones; [] without.
+    """Return tables of our mean, max, std of errors [mm] next to published ones; [] without paper.
 
     The table of the calibration has the poses that each method was fitted to, that of the
     validation the set report.
@@ -201,7 +201,7 @@ def _paper_rows(
 
 
 def outlier_table(problem: Problem, identifications: Mapping[str, Identification]) -> list[Table]:
-    """Return a table of all rows that are in no figure as outliers, with their errors [mm]; or [].
+    """Return a table of all outliers, which are in no figure, with their errors [mm]; or [].
 
     identifications : by method; the last one judges held-out rows
     """
@@ -301,10 +301,7 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
 
 
 def _payload_is_ignored(problem: Problem) -> bool:
-    """Return whether `payload_kg` was logged and not zero, but the robot file has no payload.
-
-    Only for a robot with a compliant joint, which deflects under it.
-    """
+    """Return whether a payload above 0 was logged, but a robot with compliant joints has none."""
     payloads = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
     gives = problem.robot.payload is None and any(j.compliance is not None for j in problem.robot.joints)
     return gives and any(np.any(p != 0) for p in payloads)

@@ -350,7 +350,7 @@ def plan(
 
 
 def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target: float | None) -> tuple[Array, str]:
-    """Return poses to measure, in order, shape (n, joints) [rad or m], and a sentence on them.
+    """Return ordered joint variables to measure, (n, joints) [rad or m], and a sentence on them.
 
     Their number is what the stopping rule, or the wanted accuracy, needs, if 100 are enough.
 

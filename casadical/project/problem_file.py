@@ -119,6 +119,7 @@ class CameraErrorsTable(_Strict):
 class DataTable(_Strict):
     """[[measurements]] of problem.toml: a file with a table, and how it is interpreted.
 
+    file, kind : path from the problem folder; kind of measurement, None: by the columns
     columns : source of each column, by casadical's name
     leave_out : rows of the file that are omitted
     session : name of the session of all rows
@@ -127,9 +128,9 @@ class DataTable(_Strict):
     separation : given distances between touched points
     sigma_mm, sigma_deg : one sigma of a coordinate and of an angle
     datasheet_mm : largest error of a point that the data sheet of the instrument states
-    inverted : whether poses are those of the measuring frame in the tool; None: as the robot says
+    inverted : whether poses are those of the measuring frame in the tool; None: as `as_poses` finds
     camera : where the camera is, in hand or to base; empty: inferred from the poses
-    intrinsics : of the camera whose images the corners are in; camera_errors : that are taken off its poses
+    intrinsics : of the camera in whose images corners are; camera_errors : taken off its poses
     """
 
     file: str
@@ -254,7 +255,7 @@ class UrdfTable(RobotTables):
 
     base_link, tip_link : ends of the chain; None: the only ones there are
     compliant : numbers of the joints whose compliance is identified
-    tool : measured points in the tip link's frame, where there are several
+    tool : measured points in the tip link's frame; []: the tip link itself
     joint : joints by name whose angle differs from the controller's reading
     """
 

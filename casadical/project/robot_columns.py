@@ -131,8 +131,8 @@ def _without_other_frame(
 def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
     """Return measurements with poses of the tool in the measuring frame, and their camera's place.
 
-    Poses that the table gives inverted are inverted, joint readings of a moving camera shifted to
-    the times of its images (`_synchronised`); measurements without orientations are unchanged.
+    Poses that the table gives inverted are inverted; joint readings next to a camera's poses are
+    taken at the times of its images (`_synchronised`); without orientations all is unchanged.
 
     inverted : whether the table has the inverse of these poses; None: of five poses or more, where
         only the inverse fits the robot, or none fits clearly better and the camera is in hand
@@ -160,7 +160,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
 
 
 def _synchronised(m: Measurements, robot: Robot) -> Measurements:
-    """Return a moving camera's poses with the joint readings at the times of the images.
+    """Return poses that a camera saw in motion with the joint readings at the images' times.
 
     The offset of both clocks, within 0.3 s, is the one with which base and tool fit best. The
     measurements are returned unchanged where rows are more than 0.2 s apart or too few, or where no
@@ -208,8 +208,8 @@ def _camera_of(m: Measurements, robot: Robot) -> Camera:
     """Return where the camera is, by the frame (tool or fixed) that has the other near its z axis.
 
     Empty where that is not clear. A camera sees its target within its field of view; how a target
-    is turned has no such limit. For an arm that is identified, the noise is judged as well: in the
-    frame of the camera alone, errors of the orientation do not move the target.
+    is turned has no such limit. Of twelve poses or more, the noise of an identification is judged
+    as well: in the frame of the camera alone, errors of the orientation do not move the target.
     """
     off: dict[Camera, float] = {}
     place: Camera
@@ -316,10 +316,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
 
 
 def _error_without_slips(robot: Robot, m: Measurements) -> tuple[float, float] | None:
-    """Return the median errors [m, rad] of an interpretation with its best slips undone.
-
-    None where no slips explain it.
-    """
+    """Return median errors [m, rad] with the slips that explain m undone; None without such."""
     from casadical.project.check.slips import search_slips
 
     found = search_slips(robot, m)
@@ -486,9 +483,10 @@ def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list
 def with_coupled(columns: Columns, robot: Robot) -> Columns:
     """Return the table with the variables of the robot file's rows in place of readings.
 
-    Readings of coupled and locked joints are added. Where the controller counts otherwise than the
-    rows (`readings` of the robot file), its readings are converted. Such columns are in rad or m.
-    Raises InputError where a logged reading contradicts the robot file.
+    Variables of coupled and locked joints are added. Where the controller counts otherwise than the
+    rows (`readings` of the robot file), its readings are converted. Such columns are in rad or m;
+    for other robots nothing is changed. Raises InputError where a logged reading contradicts the
+    robot file.
     """
     coupled = [i for i, joint in enumerate(robot.joints, 1) if joint.coupling is not None]
     if not coupled and not robot.counts_otherwise:

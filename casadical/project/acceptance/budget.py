@@ -125,7 +125,7 @@ class Budget:
 
     @property
     def error(self) -> float:
-        """Return the rms position error E [m]."""
+        """Return the rms position error E [m]; 0 where E^2 is below zero."""
         return float(np.sqrt(max(self.square, 0.0)))
 
     @property
@@ -177,9 +177,9 @@ class Budget:
 
 
 def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float]:
-    """Return the standard deviation of a coordinate at repeated readings [m], and its freedom.
+    """Return the standard deviation of a coordinate at repeated poses [m], and degrees of freedom.
 
-    The second number is its degrees of freedom; both are zero without repeats.
+    Both are zero without repeats.
 
     robot : robot by which the small differences between the readings are removed
     """

@@ -44,7 +44,7 @@ Positive = Annotated[float, Field(ge=0.0, le=1e6)]
 
 
 class InstrumentTable(TomlTable):
-    """[instrument] of certificate.toml: the measuring instrument and its noise and scale."""
+    """[instrument] of certificate.toml: the instrument, one sigma of its noise [m] and scale."""
 
     name: Text = ""
     serial: Text = ""
@@ -55,7 +55,7 @@ class InstrumentTable(TomlTable):
 
 
 class ConditionsTable(TomlTable):
-    """[conditions] of certificate.toml: temperature while measuring, and its range in use."""
+    """[conditions] of certificate.toml; `range_K` is half the range of temperatures in use."""
 
     place: Text = ""
     temperature_degC: Annotated[float | None, Field(ge=-273.15, le=1e4)] = None
@@ -65,7 +65,7 @@ class ConditionsTable(TomlTable):
 
 
 class DecisionTable(TomlTable):
-    """[decision] of certificate.toml: the tolerance of the rms position error."""
+    """[decision] of certificate.toml: the tolerance of the rms position error [m], or None."""
 
     tolerance: Annotated[float | None, LENGTH] = None
 
@@ -311,7 +311,7 @@ class Certificate(Acceptance):
         return Table("", head, rows, frozenset({2, 3, 4, 5}), frozenset({len(rows) - 1}))
 
     def _picture(self, w: Mapping[str, str], k: int) -> Figure:
-        """Return a figure of the held-out poses in the base frame, coloured by their error.
+        """Return a figure of the held-out poses in the base frame, coloured by error over rms.
 
         They are seen from the side, or from above where their heights are equal.
 
@@ -357,7 +357,7 @@ def certificate(
 
     results : folder as `casadical calibrate --out` writes it, or the robot file in it
     details : certificate.toml; None: nothing is stated
-    problem : folder that was calibrated; None: as result.json names it, next to the results or here
+    problem : folder that was calibrated; None: as result.json names it (see `problem_of`)
     iso9283 : table of a test, as `casadical plan --iso9283` plans it
     Raises InputError: results and measurements that do not belong together, no held-out positions,
         details that cannot be.

@@ -208,8 +208,8 @@ class Iso9283(Acceptance):
 
     robot : name of the robot
     accuracy : AP and RP of each pose
-    directions : vAP by pose [m]
-    drift : dAP and dRP [m], None where drift was not tested
+    directions : vAP by pose [m], 0 if there is a single path; without poses that were not tested
+    drift : dAP and dRP [m], 0 if there is a single group; None where drift was not tested
     model : rms error of the calibrated model at the mean positions [m], None without joint readings
     promised : rms error that the calibration states [m], None without one
     notes : doubts about the table, in words

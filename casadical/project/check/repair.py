@@ -248,7 +248,7 @@ def repaired(found: Precheck) -> str:
 
 
 def _files_with_better_readings(found: Precheck) -> dict[Path, str]:
-    """Return problem.toml with the better joint readings of its tables as columns; or {}."""
+    """Return path -> text of problem.toml with its tables' better joint readings; or {}."""
     if found.nominal is None or found.tables or not found.readings:
         return {}
     path = found.folder / "problem.toml"
@@ -264,7 +264,7 @@ def _files_with_better_readings(found: Precheck) -> dict[Path, str]:
 
 
 def _inverted_files(found: Precheck) -> dict[Path, str]:
-    """Return problem.toml with `inverted` added to tables of inverse poses that lack it; or {}."""
+    """Return path -> text of problem.toml with `inverted` where poses are and it lacks; or {}."""
     if found.nominal is None or found.tables:
         return {}
     path = found.folder / "problem.toml"

@@ -24,7 +24,7 @@ class Precheck(Result):
     folder : problem folder or robot file
     findings : all findings
     title, robot : names, empty where they could not be read
-    poses : number of poses in each set
+    poses : (name, number of poses) of each set
     noise : noise of a coordinate [m], given, declared or by repeated readings; None if unknown
     noise_source : where it is from, in words
     joints : joint ranges that the fitted poses cover
@@ -106,7 +106,7 @@ class Precheck(Result):
 
     @property
     def ranges(self) -> list[Table]:
-        """Return a table of the fitted readings of each joint, with its limits, if any."""
+        """Return a table of each joint's range over the fitted poses, and its limits; or []."""
         rows = []
         for c in self.joints:
             limits, covered = f"{c.lower:.0f} .. {c.upper:.0f}", f"{100 * c.share:.0f} %"

@@ -96,7 +96,7 @@ class Fit:
     hypothesis : what is undone
     error : median error [m], or, of `SlipFit.placed`, a third of the 80 % quantile if that is
         greater; infinite where the fit was not made
-    scale : unit factors of x, y, z
+    scale : factors that correct the units of the measured x, y, z
     mirrored : whether y is mirrored
     turn : median angle between measured and modelled orientations [rad], 0 where none were measured
     """
@@ -127,7 +127,7 @@ class Fit:
 class SlipFit:
     """One table of positions, and the robots that may be meant.
 
-    q : readings of the table, shape (n, joints) [rad or m]
+    q : joint variables by the table, shape (n, joints) [rad or m]
     y : measured positions, shape (n, 3) [m]
     rows : DH rows, one sequence of joints for each convention that may be meant
     reach : reach of the robot [m]

@@ -204,14 +204,14 @@ Misses = Callable[[Measurements], tuple[Array, Array]]
 
 
 def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, labels: Sequence[str]) -> str:
-    """Return a sentence on the up to three slips, each of which undone makes reading k plausible.
+    """Return a sentence on up to three slips, each of which undone makes pose k of m plausible.
 
     Where there are none, the sentence states other causes.
 
-    robot : robot as the other readings determine it
-    misses : function of readings that predicts them by the other readings, see `Misses`
-    limit : largest squared Mahalanobis distance of a plausible reading
-    labels : labels of points that the other readings refer to
+    robot : robot as the other poses determine it
+    misses : function of poses that compares them with predictions by the others, see `Misses`
+    limit : largest squared Mahalanobis distance of a plausible pose
+    labels : labels of points that the other poses refer to
     """
     listed: list[tuple[str, dict[str, Any]]] = [*_of_observed(m, k), *_of_names(m, k, labels), *_of_joints(robot, m, k)]
     found = misses(_with_changes(m, k, [changed for _, changed in listed]))[1]
@@ -233,9 +233,9 @@ def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limi
 
 
 def _with_changes(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> Measurements:
-    """Return the k-th reading once for each change, as measurements with as many poses.
+    """Return pose k of m once for each change, as measurements with as many poses.
 
-    changes : name of an array or column -> its new value for the reading
+    changes : name of an array or column -> its new value at that pose
     """
     some = replace(m[np.full(len(changes), k)], separations=())
     given = {"q": some.q, **some.arrays, **some.conditions}
@@ -251,7 +251,7 @@ def _with_changes(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]])
 
 
 def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield possible slips of what the k-th reading observed, each in words and as its undoing.
+    """Yield possible slips of what was observed at pose k, each in words and as its undoing.
 
     The latter is name of an array -> corrected value. They are swapped axes, signs and units; of
     full poses also the inverse.
@@ -282,12 +282,12 @@ def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]
 
 
 def _of_names(m: Measurements, k: int, others: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield possible slips of names in the k-th reading, each in words and as its undoing.
+    """Yield possible slips of names at pose k of m, each in words and as its undoing.
 
     They are another target, session, touched point or anchor; the undoing is name -> corrected
     value.
 
-    others : labels of points that other readings refer to
+    others : labels of points that other poses refer to
     """
     for kind, word in (("tool_", "target"), ("session_", "session")):
         names = [name for name in m.conditions if name.startswith(kind)]
@@ -303,7 +303,7 @@ def _of_names(m: Measurements, k: int, others: Sequence[str]) -> Iterator[tuple[
 
 
 def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield possible slips of the k-th reading's joints, each in words and as its undoing.
+    """Yield possible slips of the joints at pose k of m, each in words and as its undoing.
 
     A robot that did not move is among them; the undoing is name -> corrected value.
     """
@@ -316,9 +316,9 @@ def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dic
 
 
 def _joints_not_at_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
-    """Return a sentence on each joint whose true position may have differed from its k-th reading.
+    """Return a sentence on each joint whose true position may have differed from q at pose k of m.
 
-    With this one joint moved, the reading is plausible; the most plausible comes first. Gauss-
+    With this one joint moved, the pose is plausible; the most plausible comes first. Gauss-
     Newton steps begin at the best of 121 positions in the joint's range, cut to +-2 pi [rad or m].
     """
     n, read = robot.n, m.q[k]

@@ -219,7 +219,10 @@ def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list
 
 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:
-    """Yield the hypothesis with each of the three link lengths whose departure explains most.
+    """Yield the hypothesis with one more wrong link length, for each of the three best ones.
+
+    Omitted are lengths that explain less than 10 %, are off by less than 2 % of the reach, or are
+    in the hypothesis already.
 
     lengths : effect of freeing each length, shape (2 joints, 2), as of `SlipFit.departures`
     """

@@ -69,7 +69,7 @@ class LiveSession:
     move : returns the line of a program that moves to controller's readings [deg or mm]; None: no
         program
 
-    Raises InputError: the folder has other measurements, which would be lost.
+    Raises InputError: the folder has other measurements that are not synthetic.
     """
 
     def __init__(
@@ -93,16 +93,16 @@ class LiveSession:
         self.plan: Array | None = None  # planned joint variables, shape (n, joints) [rad or m]
         self._of_plan = ""
         self.said: list[str] = []
-        self.checked: tuple[int, list[str]] = (0, [])
+        self.checked: tuple[int, list[str]] = (0, [])  # number of readings, errors of `check`
         self.m: Measurements | None = None
-        self.unread = ""
+        self.unread = ""  # why the table cannot be read
         # The expected error is stated for 150 readings drawn over the joints' ranges.
         self._task = draw(self.robot, 150, Workspace(), np.random.default_rng(1))
         self._unreadable: dict[int, str] = {}  # reason by number of the reading
         self._doubtful: dict[int, bool] = {}
-        self._words: dict[int, str] = {}
-        self._off: dict[int, float] = {}
-        self._wish: Array | None = None
+        self._words: dict[int, str] = {}  # why a reading is doubtful, by number
+        self._off: dict[int, float] = {}  # length of the residual [m] by number
+        self._wish: Array | None = None  # joint variables of the pose to repeat
         self._seen = {r.cells for r in course.readings}
         if course.readings:
             self._judge(*(r.number for r in course.readings))
@@ -113,7 +113,7 @@ class LiveSession:
         """Store a row of a table and return its number; None where it is stored already.
 
         judge : whether the reading is judged at once
-        Raises InputError: its headings differ from those of the rows before.
+        Raises InputError: its headings differ, not only in order, from those of the rows before.
         """
         with self.lock:
             cells = row.cells

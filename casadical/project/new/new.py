@@ -312,7 +312,7 @@ def _understood(
 
 
 def _numbers(text: str) -> list[float]:
-    """Return the numbers of --intrinsics. Raises InputError where they are not four to nine, or no numbers."""
+    """Return the four to nine numbers of --intrinsics, [] without. Raises InputError for others."""
     try:
         numbers = [float(number) for number in text.split(",")] if text else []
     except ValueError:

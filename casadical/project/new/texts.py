@@ -204,7 +204,7 @@ def problem_text(
 def _column_lines(given: Given) -> str:
     """Return the keys of [[measurements]] that a table needs, as TOML text.
 
-    They are kind, inverted, camera, leave_out and columns.
+    They are kind, inverted, camera, intrinsics, leave_out and columns.
     """
     lines = [f'kind = "{given.kind}"'] if given.kind else []
     if given.inverted or given.camera:
