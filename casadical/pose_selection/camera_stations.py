@@ -1,8 +1,9 @@
-"""Stations at which a camera should see its target, and the accuracy to expect of so many.
+"""Stations at which a camera should see its target, and the accuracy to expect of their number.
 
-Stations are chosen one by one, each by the largest reduction of the mean variance of the target's place in the camera
-over all candidates (V-optimality, `experimental_design`), for base, tool and geometry with the prior that a calibration
-has found: of the stations so far, or of simulated ones with the nominal arm.
+Stations are chosen one by one, each by the largest reduction of the mean variance of the target's
+place in the camera over all candidates (V-optimality, `experimental_design`), for base, tool and
+geometry with the prior that a calibration has found: of the stations so far, or of simulated ones
+with the nominal arm.
 """
 
 from __future__ import annotations
@@ -41,12 +42,11 @@ View = tuple[float, float, float, float]
 class CameraStations(Result):
     """Stations at which a camera sees its target, in an order with short travel.
 
-    robot : calibrated on the stations so far; q : readings, shape (n, joints) [rad or m]
+    robot : calibrated on the stations so far; q : joint variables, shape (n, joints) [rad or m]
     source : origin of the view, in words
-    visible : what the stations so far show of the camera's view: distances [m], largest angles off its axis and
-        between line of sight and board's normal [rad]
-    forecast : a row for each number of stations, with expected errors of the target's place (rms over the candidates)
-        and of the hand-eye transform [mm]; the first row is of the stations so far
+    visible : the camera's view, given or as the stations so far show it (see `View`)
+    forecast : a row for each number of new stations, with expected rms errors of the target's place
+        (over the candidates) and of the hand-eye translation [mm]; the first is of those so far
     """
 
     line: ClassVar[str] = " {{ it.q | length }} stations"
@@ -60,7 +60,7 @@ class CameraStations(Result):
 
     @property
     def table(self) -> pd.DataFrame:
-        """The controller's readings of each station."""
+        """Return the controller's readings of each station, as of `readings_table`."""
         return readings_table(self.robot, self.q)
 
     def blocks(self) -> Sequence[Block]:
@@ -84,9 +84,11 @@ def camera_stations(
 ) -> CameraStations:
     """Return n stations for a new calibration of an arm and its camera.
 
-    found : calibration of the stations so far, from which view, noise and frames follow; workspace : where poses
-        may lie, None: the robot's limits; view : None: as the stations so far show it
-    Raises InputError where no camera measured full poses, or too few stations are visible.
+    found : calibration of the stations so far, from which view, noise and frames follow
+    workspace : where poses may lie; None: within the robot's limits
+    view : None: 2 % and 98 % quantiles of the stations so far
+    Raises InputError where no camera measured full poses, there are several sets, or fewer than 2 n
+    of 16000 random poses see the target.
     """
     m, robot = found.problem.sets[0], found.robot
     if m.noise is None or len(found.problem.sets) > 1:
@@ -99,7 +101,7 @@ def camera_stations(
     of_stations = zip((away, away, off, oblique), (0.02, 0.98, 0.98, 0.98), strict=True)
     near, far, *angles = (float(np.quantile(part, share)) for part, share in of_stations)
     visible = view or (near, far, angles[0], angles[1])
-    # Near the stations so far most readings see the target, elsewhere few do.
+    # Near the stations so far most poses see the target, elsewhere few do.
     close = m.q[rng.integers(len(m), size=8_000)] + rng.normal(0, 0.3, (8_000, robot.n))
     q = np.concatenate([close, draw(robot, 8_000, where, rng)])
     q = q[where.allows(robot, q)]
@@ -134,7 +136,7 @@ def camera_stations(
 
 
 def read_view(text: str) -> View:
-    """Return the view of a text NEAR,FAR,OFF,OBLIQUE [m, m, deg, deg]. Raises InputError."""
+    """Return the view [m, rad] of a text NEAR,FAR,OFF,OBLIQUE [m, deg]. Raises InputError."""
     try:
         near, far, off, oblique = (float(number) for number in text.split(","))
     except ValueError:
@@ -145,12 +147,13 @@ def read_view(text: str) -> View:
 
 
 def simulated_stations(robot: Robot, view: View, sigma: float = 1e-3, seed: int = 0) -> Identification:
-    """Return the calibration of a nominal arm from 15 simulated stations of a camera on its flange.
+    """Return the calibration of a nominal arm from 15 simulated stations of a camera at its tool.
 
-    The camera looks along the flange's z axis at a board that stands in front of it. Its noise is sigma [m] across the
-    line of sight, three times as much along it, and 2 mrad (0.7 mrad about it).
+    The camera looks along the tool's z axis at a board in front of it, at the mean of the view's
+    distances. Its noise is sigma [m] across the line of sight, three times as much along it, and 2
+    mrad (0.7 mrad about it).
 
-    view : as of `camera_stations`. Raises InputError: too few readings see the board.
+    Raises InputError: too few poses see the board.
     """
     from scipy.spatial.transform import Rotation
 
@@ -183,13 +186,13 @@ def _visible(m: Measurements, view: View) -> Array:
 
 
 def _exact(robot: Robot, q: Array, camera: Camera, noise: CameraNoise) -> Measurements:
-    """Return the model's poses at readings q without noise, marked as a camera's with `noise`."""
+    """Return the model's poses at joint variables q without noise, as a camera's with `noise`."""
     p, R = predicted(robot, unmeasured(q))
     return Measurements(q, "pose", position=p, orientation=R, camera=camera, noise=noise)
 
 
 def _view(m: Measurements) -> Array:
-    """Return distance [m], angle off the camera's axis and of the board's normal [rad], shape (3, n)."""
+    """Return distance [m] and angles of line of sight to camera's axis and board's normal, (3, n)."""
     assert m.noise is not None
     axes, away = lines_of_sight(m.view, m.noise)
     line = axes[:, 2]
@@ -198,7 +201,10 @@ def _view(m: Measurements) -> Array:
 
 
 def _columns(found: Identification, robot: Robot, m: Measurements) -> tuple[Array, Array]:
-    """Return derivatives of whitened residuals (n, 6, p) and of the target's place [m] (n, 3, p)."""
+    """Return derivatives of whitened residuals (n, 6, p) and of the target's place [m] (n, 3, p).
+
+    They are per unit of scale, in the axes of the camera's noise.
+    """
     assert m.noise is not None
     problem = LeastSquares(robot, (m,), found.names, "linear", False, (found.problem.sigmas[0],))
     J = problem.evaluate(np.zeros(problem.size))[1].reshape(len(m), 6, -1)

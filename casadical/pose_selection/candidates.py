@@ -32,10 +32,10 @@ class Circumstances:
 
     payloads : masses that can be mounted [kg]; empty: the declared one, and also zero if an effect
         needs the payload
-    every_payload : whether each reading is measured with all payloads instead of one
-    both_approaches : whether each reading is approached twice, with all joints moving in opposite
+    every_payload : whether each pose is measured with all payloads instead of a random one
+    both_approaches : whether each pose is approached twice, with all joints moving in opposite
         directions
-    repeats : number of measurements of each reading, in passes over all poses
+    repeats : number of measurements of each pose, in passes over all poses
     seconds : time per measurement [s]
     warmup_K : assumed rise of the temperature during the campaign [K]
     warmup_minutes : time constant of the rise [min]
@@ -56,22 +56,22 @@ class Circumstances:
     warmup_minutes: float = 35.0
 
     def states(self, robot: Robot) -> tuple[float, ...]:
-        """Return the payloads with which the robot is measured [kg]."""
+        """Return the payloads with which the robot is measured [kg]; see `payloads`."""
         declared = robot.payload.mass if robot.payload else 0.0
         if self.payloads:
             return self.payloads
         return (0.0, declared) if any("payload_kg" in e.needs for e in robot.effects) else (declared,)
 
     def size(self, robot: Robot) -> int:
-        """Return the number of measurements at each reading."""
+        """Return the number of measurements of each pose."""
         return self.repeats * (1 + self.both_approaches) * (len(self.states(robot)) if self.every_payload else 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """N readings, each to be measured g times under its own circumstances.
+    """N poses, each to be measured g times under its own circumstances.
 
-    q : readings, shape (N, joints) [rad or m]
+    q : joint variables, shape (N, joints) [rad or m]
     conditions : values of each column of conditions by its name, shape (N, g) each
     turn : index of the pass of each measurement, from 0, shape (g,)
     """
@@ -85,7 +85,7 @@ class Candidates:
 
     @property
     def size(self) -> int:
-        """Number g of measurements at each reading."""
+        """Return the number g of measurements of each pose."""
         return len(self.turn)
 
     def __getitem__(self, which: Array) -> Candidates:
@@ -97,7 +97,7 @@ class Candidates:
         return replace(self, q=np.concatenate([self.q, other.q]), conditions=conditions)
 
     def measurements(self, robot: Robot, source: str = "candidates") -> Measurements:
-        """Return N g measurements at the model's positions, the g of each reading one by one.
+        """Return N g measurements at the model's positions, the g of each pose in succession.
 
         source : name of the table
         """
@@ -106,7 +106,7 @@ class Candidates:
 
 
 def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: str) -> Measurements:
-    """Return measurements of the positions that the model gives at readings q.
+    """Return measurements of the positions that the model gives at joint variables q.
 
     q : shape (n, joints) [rad or m]; conditions : columns by name, shape (n,) each
     source : name of the table
@@ -116,7 +116,7 @@ def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: st
 
 
 def one_turn(robot: Robot) -> Robot:
-    """Return the robot with limits of at most half a turn to either side of reading zero.
+    """Return the robot with limits of at most half a turn to either side of zero.
 
     Only joints with a range of more than one turn are changed.
     """
@@ -128,7 +128,9 @@ def one_turn(robot: Robot) -> Robot:
 
 
 def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator, *, to_ends: bool = False) -> Array:
-    """Return random readings that the workspace allows, shape (count, joints) [rad or m].
+    """Return random joint variables that the workspace allows, shape (count, joints) [rad or m].
+
+    Those of coupled joints follow from the others.
 
     to_ends : whether every other one is drawn with more density near the joints' limits, where good
         poses often are
@@ -153,12 +155,12 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
 
 
 def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
-    """Return candidates at readings q with every column of conditions that the robot's model needs.
+    """Return candidates at poses q with every column of conditions that the robot's model needs.
 
-    Payload, approach and time are drawn at random.
+    Approach, time and, unless all are measured, payload are random; the session is the last one.
 
-    q : readings, shape (N, joints) [rad or m]
-    n : number of readings of the campaign, which determines its duration
+    q : joint variables, shape (N, joints) [rad or m]
+    n : number of poses of the campaign, which determines its duration
     Raises InputError for a column that cannot be planned.
     """
     g, N = circumstances.size(robot), len(q)
@@ -211,10 +213,9 @@ def timeline(names: list[str], progress: Array, n: int, circumstances: Circumsta
 class LaterPoses:
     """Poses that could be measured after a campaign.
 
-    m : K readings with their columns of conditions, without measured values
+    m : K poses with their columns of conditions, without measured values
     repeated : index of the campaign's pose that a pose repeats, -1 for none, shape (K,)
-    warm : whether the arm is to be warm, shape (K,); None where no column depends on the
-        temperature
+    warm : whether the arm is to be warm, shape (K,); None without a column warmth_...
     """
 
     m: Measurements
@@ -237,7 +238,7 @@ def later_poses(
 ) -> LaterPoses:
     """Return random poses and the inliers of a campaign, under random circumstances.
 
-    Half of the random ones are within the campaign's joint ranges.
+    Up to half of the random ones are within the inliers' joint ranges.
 
     inliers : mask of the campaign's inliers, shape (n,)
     columns : names of the columns of conditions that are needed
@@ -252,7 +253,7 @@ def later_poses(
     lower, upper = room.ranges(robot)
 
     def drawn(wanted: int, low: Array, high: Array) -> Array:
-        """Return at most `wanted` random readings between limits, which the workspace allows."""
+        """Return at most `wanted` random poses between limits, which the workspace allows."""
         q = robot.coupled(rng.uniform(low, high, (4 * wanted, robot.n)))
         return np.asarray(q[room.allows(robot, q)][:wanted])
 
@@ -284,10 +285,11 @@ def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:
 def _later_column(name: str, logged: Array | None, warm: Array, states: Array, rng: np.random.Generator) -> Array:
     """Return a column of conditions at K later poses, shape (K,).
 
-    Payload and approach are random, the temperature is by `warm`, `progress` is 1, and others are
-    drawn from the campaign's values.
+    Payload and approach are random, a column warmth_... is by `warm`, `progress` is 1, gravity is
+    the campaign's mean, and others are drawn from the campaign's values.
 
-    name : name of the column; logged : the campaign's values; None: it has none
+    name : name of the column; logged : the campaign's values; None: it has none, and zeros are
+        returned (but for progress, approach and payload)
     warm : whether the arm is to be warm at each pose, shape (K,); states : payloads [kg]
     """
     if name == "progress":
@@ -309,11 +311,11 @@ def _later_column(name: str, logged: Array | None, warm: Array, states: Array, r
 def poses_at_places(
     robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return about `count` readings with the tool point at given places, and the place of each.
+    """Return up to about `count` poses with the tool point at given places, and the place of each.
 
-    The readings have the shape (n, joints) [rad or m], the indices of their places, from 0, (n,).
-    Inverse kinematics from random starts finds them; places that are hardly reachable have few or
-    none.
+    The joint variables have the shape (n, joints) [rad or m], the indices of the places, from 0 and
+    as floats, (n,). Inverse kinematics from random starts finds them to 1e-7 m; places that are
+    hardly reachable have few or none.
 
     places : in the measuring frame, shape (k, 3) [m]
     """
@@ -336,12 +338,11 @@ def poses_at_places(
 
 
 def reachable_places(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
-    """Return those of the places that the robot's tool point reaches well, shape (r, 3) [m].
+    """Return those of the places that the tool point reaches in 4 of 8 attempts, (r, 3) [m].
 
     places : in the measuring frame, shape (k, 3) [m]; count : number of places that are required
     Raises InputError where they are fewer.
     """
-    # A socket is reachable if at least 4 of 8 attempted poses hold the tool in it.
     _, which = poses_at_places(robot, places, 8 * len(places), workspace, rng)
     there = np.bincount(which.astype(int), minlength=len(places)) >= 4
     if there.sum() < count:

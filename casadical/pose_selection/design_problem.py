@@ -49,7 +49,8 @@ class DesignProblem:
     open : whether additional candidates may be drawn near those of the pool
     fixed : information from measured poses and priors, shape (p, p), in units of scale; the p
         variables are those of names, then the unknown coordinates of the instrument's places
-    weight : W of the mean variance trace(W C), shape (p, p) [mm^2]
+    weight : W of the mean variance trace(W C), shape (p, p) [mm^2]; normalised, without unit, if
+        there are parameters of interest
     instrument : what is read in place of positions; None: positions
     prior : prior of another campaign, which is included in `fixed`
     """
@@ -121,9 +122,9 @@ def prepare(
 ) -> DesignProblem:
     """Return the input of a pose search: candidates, independent parameters, weights.
 
-    n : number of readings that will be chosen
+    n : number of poses that will be chosen
     pool : number of candidates to draw; rng : their random generator
-    candidates : readings to choose from, shape (N, joints) [rad or m]; None: drawn ones
+    candidates : joint variables to choose from, shape (N, joints) [rad or m]; None: drawn ones
     workspace, circumstances, measured, free, interest, task, noise, instrument, prior : as of
         `select_poses`
     Raises InputError.
@@ -209,7 +210,7 @@ def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument:
 
 
 def _refuse_combination(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
-    """Check that an instrument can be combined with measured poses and given candidates.
+    """Refuse an instrument with poses measured before, and sockets with candidates or surveyed.
 
     measured, given : whether there are poses measured before, and given candidates
     Raises InputError.
@@ -235,12 +236,12 @@ def _readings(
     rng: np.random.Generator,
     instrument: Instrument | None,
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the candidate readings, shape (N, joints) [rad or m], and their columns by name.
+    """Return the candidates' joint variables, (N, joints) [rad or m], and their columns by name.
 
     They are the given ones that the workspace allows, drawn ones, or poses that hold the tool in
     sockets; only the latter have a column, the index of the socket, shape (N,).
 
-    given : readings to choose from; None: they are drawn
+    given : joint variables to choose from; None: they are drawn
     pool : number of candidates to draw
     instrument : what is read in place of positions; None: positions
     """
@@ -270,7 +271,7 @@ def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[
 
 
 def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
-    """Return the given readings that the workspace allows, shape (k, joints) [rad or m].
+    """Return the given joint variables that the workspace allows, shape (k, joints) [rad or m].
 
     q : shape (N, joints) [rad or m]
     Raises InputError: another shape, or none is allowed.
@@ -288,7 +289,7 @@ def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
     """Return measured positions with every column that the robot's effects need.
 
-    Raises InputError: no positions, another number of joints, or a missing column.
+    Raises InputError: no positions, another number of joints, or a missing column but the payload.
     """
     if measured.position is None or measured.q.shape[1] != robot.n:
         raise InputError(f"{measured.source}: measured poses must be positions of {robot.name}'s {robot.n} joints")

@@ -14,8 +14,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Information added to each parameter, divided by its mean information from one candidate; it keeps
-# the information matrix of few poses invertible.
+# Information added to each parameter, divided by the information of all candidates and the fixed
+# one about it over their number; it keeps the information matrix of few poses invertible.
 RIDGE_OF_MEAN_INFORMATION = 1e-10
 # Smallest ratio of the information's determinants without and with a pose at which the pose may be
 # removed. Rounding decides how far below an indispensable pose is, so that all are equal.
@@ -33,8 +33,7 @@ class Design:
         be chosen, itself included; below zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)
 
-    As long as the set does not determine all parameters, gains are those of the determinant of the
-    information.
+    As long as the set does not determine all parameters, gains are of the information's determinant.
     """
 
     def __init__(self, weight: Array, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
@@ -99,20 +98,19 @@ class Design:
 
     @property
     def regular(self) -> bool:
-        """Whether the chosen and the measured poses determine all parameters.
+        """Return whether chosen and measured poses and priors determine all parameters.
 
         Parameters without any information do not count.
         """
         determined = np.diag(self.M) > 0
         root = np.sqrt(np.diag(self.M)[determined])
         least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
-        # Singular sets have eigenvalues below 1e-11, from RIDGE_OF_MEAN_INFORMATION: their variances are
-        # meaningless.
+        # Singular sets have eigenvalues below 1e-11, from the ridge: their variances mean nothing.
         return bool(least > 1e-9)
 
     @property
     def value(self) -> float:
-        """Minus the logarithm of the mean variance trace(W C) of chosen and measured poses."""
+        """Return minus log of the mean variance trace(W C), or -inf if it is not above 0."""
         variance = float(np.sum(self.W * self.C))
         return -np.log(variance) if variance > 0 else -np.inf
 
@@ -225,7 +223,7 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
 
     The first search starts from an empty set, each other one from n // 2 random candidates.
 
-    restarts : number of searches; seed : of the random starts
+    restarts : number of searches, at least 1; seed : of the random starts
     Raises InputError where fewer than n can be chosen.
     """
     rng = np.random.default_rng(seed)

@@ -1,7 +1,6 @@
 """Information of poses about the parameters: exact scaled Jacobians, noise, identifiability.
 
-Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the deflection of 1
-mrad), as in `identify`.
+Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, a deflection of 1 mrad).
 """
 
 from collections.abc import Callable, Sequence
@@ -43,8 +42,7 @@ def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Arra
 def _joint_jacobian(robot: Robot) -> ca.Function:
     """Return the CasADi function (q, w, phi) -> J[3, n]: the point's derivative by joint variables.
 
-    q are readings, w the conditions of a pose, phi the parameters; J is in m/rad or m/m, in the
-    measuring frame.
+    w are conditions of a pose, phi the parameters; J is in m/rad or m/m, in the measuring frame.
     """
     model = robot.model
     J = ca.densify(ca.jacobian(model.p, model.q))

@@ -44,19 +44,19 @@ class Instrument:
 
     @property
     def numbers(self) -> int:
-        """Number of values read at each pose."""
+        """Return the number of values read at each pose."""
         return len(self.places) if self.kind == "wires" else 3
 
     @property
     def extra(self) -> int:
-        """Number of unknown coordinates of the places."""
+        """Return the number of unknown coordinates of the places; 0 if they are surveyed."""
         return 0 if self.surveyed else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
         """Return the noise-free measurements of this instrument at poses m with model positions.
 
-        There is one set of distances per wire, or one set of contacts for all sockets, which has
-        one given distance between two sockets.
+        There is one set of distances per wire, or one set of contacts for all sockets, with the
+        given distance of the two farthest apart if poses touch both.
         """
         assert m.position is not None
         if self.kind == "sockets":
@@ -150,7 +150,7 @@ def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
 def best_places(
     robot: Robot, every: Instrument, count: int, names: Sequence[str], m: Measurements, noise: Noise, weight: Array
 ) -> Array:
-    """Return the indices of those `count` places with the least mean variance, shape (count,).
+    """Return the rising indices of `count` places with least mean variance, shape (count,).
 
     All subsets are tried if there are at most 20 000, else exchanges of single places.
 
@@ -219,9 +219,9 @@ def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -
 def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
     """Return default candidate places of an instrument, shape (K, 3) [m], in the measuring frame.
 
-    Anchors of wires are on posts around the robot, one and a half times its reach away, at heights
-    up to that; sockets are on a table before it and half its reach above. The reach is the largest
-    radius of the tool within the joints' limits.
+    They are on circles about the base's z axis: 48 anchors of wires at 1.5 times the reach and four
+    heights up to that; 32 sockets at 0.45 and 0.7 times the reach, at a tenth and half of it above
+    the base. The reach is the tool's largest horizontal distance in 2000 random poses.
     """
     radii, heights, turns = ((1.5,), (0.0, 0.5, 1.0, 1.5), 12) if kind == "wires" else ((0.45, 0.7), (0.1, 0.5), 8)
     turn = np.arange(turns) * 2 * np.pi / turns
@@ -233,10 +233,7 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
 
 
 def _farthest(places: Array) -> tuple[int, int]:
-    """Return the indices of the two places with the largest distance, rising.
-
-    places : shape (k, 3) [m]
-    """
+    """Return the rising indices of the two farthest places, (k, 3) [m]; (0, 0) for one place."""
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     i, j = np.unravel_index(first_of_best(apart), apart.shape)
     return int(min(i, j)), int(max(i, j))

@@ -115,9 +115,9 @@ def _map(plan: Selection) -> Table:
 
 
 def _errors(plan: Selection, of_effects: bool) -> list[Table]:
-    """Return a table of expected standard errors, with a reason where there is none; or [].
+    """Return one table of expected standard errors, or reasons where there are none; or [].
 
-    of_effects : whether the parameters are those of effects that were asked for, or all others
+    of_effects : whether the parameters are those of effects, or all others
     """
     pairs = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in pairs]

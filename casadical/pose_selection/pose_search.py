@@ -44,14 +44,14 @@ def select_poses(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Selection:
-    """Return n readings to measure with the least mean position variance over the task.
+    """Return n poses to measure that give a small mean position variance over the task.
 
     robot : robot model; Jacobians are taken at its parameter values, so give the calibrated one
         when continuing; the parameters of its effects (`with_effect`) count like any other
-    among : readings to choose from, shape (N, joints) [rad or m]; or limits between which they are
-        drawn, and then refined in the neighbourhood of the best: a tuple (lower, upper), shape
-        (joints,) each [rad or m], or a workspace; None: the robot's own ranges
-    n : number of readings to choose
+    among : joint variables to choose from, shape (N, joints) [rad or m]; or limits between which
+        they are drawn, and then refined in the neighbourhood of the best: a tuple (lower, upper),
+        shape (joints,) each [rad or m], or a workspace; None: the robot's own ranges
+    n : number of poses to choose
     workspace : which poses can be measured; None: all within the joint ranges
     circumstances : payloads, approaches and repeats of the poses; None: those of `Circumstances()`
     measured : poses already measured: the choice adds to them and keeps `min_distance` from them
@@ -59,19 +59,21 @@ def select_poses(
         effects
     interest : parameters (names, groups or labels, patterns) that matter most: their weight, in
         units of their priors, is that of the task
-    task : readings at which the robot is to be accurate, shape (T, joints) [rad or m]; None: random
-        ones in the workspace
+    task : joint variables at which it is to be accurate, shape (T, joints) [rad or m]; None: 300
+        random poses in the workspace
     noise : standard deviations of measured coordinates and of joints; None: those of `Noise()`
     min_distance : smallest distance between any two poses, in the joint that differs most, as a
         fraction of its range; None: a pose may be chosen more than once
-    pool : number of candidates to draw
-    restarts : number of searches from different random starts, of which the best result is taken
+    pool : number of candidates to draw, at least 3 n
+    restarts : number of searches, of which the best result is taken; the first starts from no pose,
+        the others from random ones
     seed : seed of the random generator
     instrument : what is measured in place of positions: distances to anchors, or the tool in
         sockets; `noise.sigma` is then the instrument's; None: positions
     prior : posterior of another campaign, as of `identify` and with its values in the robot (see
         `carry_over`); fewer poses are needed then
-    Returns the poses in measuring order, and the position accuracy [m] to expect of them
+    Returns the poses by pass, time and payload, not by short travel (see `Selection.ordered`), and
+    the position accuracy [m] to expect of them
     Raises InputError: no n poses can be chosen, or they cannot determine the parameters.
 
     References: Mitchell (1974); Atkinson, Donev and Tobias (2007).
@@ -105,8 +107,7 @@ def select_poses(
     design = problem.design(problem.pool, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
     lower, upper = workspace.ranges(robot)
-    # Neighbours of every chosen pose are tried at decreasing distances, in fractions of the joints'
-    # ranges.
+    # Neighbours of every chosen pose are tried at decreasing distances, in fractions of the ranges.
     for size in (0.2, 0.08, 0.03) if problem.open else ():
         steps = size * (upper - lower) * rng.normal(size=(12, n, robot.n))
         q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
@@ -125,9 +126,7 @@ def _sources(
 ) -> tuple[Array | None, Workspace]:
     """Return the given candidates, shape (N, joints), and the workspace with the given limits.
 
-    The candidates are None where they are to be drawn.
-
-    among : as of `select_poses`
+    The candidates are None where they are to be drawn. among : as of `select_poses`
     Raises InputError.
     """
     if isinstance(among, Workspace):
@@ -182,7 +181,7 @@ class Forecast(Shown):
 
     @property
     def table(self) -> pd.DataFrame:
-        """Table of the numbers of poses and the expected error [mm]."""
+        """Return a table with the columns poses, their number, and expected_error_mm."""
         return pd.DataFrame({"poses": self.poses, "expected_error_mm": 1e3 * self.error})
 
 
@@ -204,7 +203,8 @@ def forecast(
     """Return the expected error as poses are added one by one, each the best additional one.
 
     It starts with the measured poses or, if these are fewer, with as many as give a fifth more
-    numbers than there are parameters without a prior of another campaign.
+    numbers than there are unknowns (parameters without a prior of another campaign, coordinates of
+    places).
 
     most : largest number of poses, measured ones included
     workspace, circumstances, measured, free, noise, pool, instrument, prior : as of `select_poses`
@@ -239,8 +239,7 @@ def forecast(
     each, numbers = problem.pool.size, instrument.numbers if instrument else 3
     with_prior = {*prior.means, *(name for names, _ in prior.covariances for name in names)} if prior else set()
     p = len(problem.weight) - sum(name in with_prior for name in problem.names)
-    # Measurements at one reading have nearly the same information: only the first of them counts
-    # here.
+    # Measurements of one pose have nearly the same information: only the first of them counts here.
     if numbers * before < 1.2 * p:
         first = min(-(-(int(1.2 * p) - numbers * before) // numbers), (most - before) // each)
         design.start(search(design, first, 1, seed).tolist())
@@ -328,7 +327,7 @@ def select_with_places(
     """Return n poses and, with its chosen places, the instrument that is read at them.
 
     Places and poses are chosen in turn, at most three times, until the places do not change or the
-    expected error increases; for sockets each are chosen once.
+    expected error does not decrease; for sockets each are chosen once.
 
     n : number of poses to choose
     kind, places, count, surveyed : as of `place_instrument`

@@ -1,6 +1,6 @@
 """Result of a pose selection: poses to measure in order, and the expected accuracy.
 
-The order of measurement is by pass, then payload, with short travel within each.
+The order of measurement is by pass, then part of the campaign's time, then payload.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ TIME_PARTS = 4
 
 
 def travel_distances(robot: Robot, q: Array) -> Array:
-    """Return the travel between each pair of n readings, shape (n, n) [rad].
+    """Return the travel between each pair of n poses, shape (n, n) [rad].
 
     It is that of the joint that moves most; a full stroke of a prismatic joint counts as pi.
 
-    q : shape (n, joints) [rad or m]
+    q : joint variables, shape (n, joints) [rad or m]
     """
     unit = np.array([1.0 if j.kind == "revolute" else np.pi / (j.upper - j.lower) for j in robot.joints])
     return np.asarray(np.abs(unit * (q[:, None] - q[None])).max(axis=2))
 
 
 def travel(robot: Robot, q: Array) -> float:
-    """Return the sum, over successive readings, of the travel of the joint that moves most [rad].
+    """Return the sum, over successive poses, of the travel of the joint that moves most [rad].
 
     A full stroke of a prismatic joint counts as pi.
 
-    q : shape (n, joints) [rad or m]
+    q : joint variables, shape (n, joints) [rad or m]
     """
     D = travel_distances(robot, q)
     return float(D[np.arange(len(q) - 1), np.arange(1, len(q))].sum())
@@ -64,7 +64,7 @@ def travel(robot: Robot, q: Array) -> float:
 def short_tour(D: Array, before: Array | None = None) -> Array:
     """Return the indices of n poses in an order with a short path, shape (n,).
 
-    It is the shortest of the nearest-neighbour paths from up to twelve starts.
+    It is the shortest of the nearest-neighbour paths from up to twelve starts nearest to `before`.
 
     D : distances between the poses, shape (n, n), in any unit
     before : distances from the pose before them, shape (n,); None: any start is as good
@@ -110,8 +110,7 @@ def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumst
             size = len(block)
             block = block[short_tour(D[:size, :size], D[size, :size] if order else None)]
         order += block.tolist()
-    # Columns of conditions that are chosen with a pose and do not depend on the order of
-    # measurement.
+    # Columns of conditions that are chosen with a pose and do not depend on the order.
     pose_columns = ("payload_kg", SOCKET_COLUMN, *GRAVITY_COLUMNS)
     given = {n: v[order] for n, v in rows.items() if n in pose_columns or n.startswith(("approach", SESSION_PREFIX))}
     timed = [n for n in robot.conditions if n not in pose_columns and not n.startswith(("approach", SESSION_PREFIX))]
@@ -124,7 +123,7 @@ def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumst
 class Selection(DesignProblem, Shown):
     """Poses to measure in order, the input of the search that chose them, and expected accuracy.
 
-    chosen : chosen readings with their circumstances
+    chosen : chosen poses with their circumstances
     m : one row per measurement in measuring order, at the positions that the model gives
 
     Examples
@@ -148,16 +147,16 @@ class Selection(DesignProblem, Shown):
 
     @property
     def q(self) -> Array:
-        """Readings in measuring order, shape (n, joints) [rad or m]."""
+        """Return the joint variables in measuring order, shape (n, joints) [rad or m]."""
         return self.m.q
 
     def ordered(self) -> Selection:
-        """Return the selection with the same poses in an order of short travel."""
+        """Return the selection, its poses of equal pass, part and payload in short travel."""
         return replace(self, m=in_measuring_order(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
     def _sets(self) -> tuple[Measurements, ...]:
-        """The planned poses and, if there are any, the poses measured before."""
+        """Return the planned poses and, if there are any, the poses measured before."""
         return (self.m,) if self.measured is None else (self.m, self.measured)
 
     @cached_property
@@ -247,9 +246,9 @@ class Selection(DesignProblem, Shown):
 
     @property
     def error_map(self) -> pd.DataFrame:
-        """Table of the expected error [mm] at every pose of the task, with position and readings.
+        """Return the expected error [mm] at every pose of the task, with position and readings.
 
-        Positions are in the measuring frame [mm].
+        Positions are in the measuring frame [mm], readings are the controller's.
         """
         assert self.task.position is not None
         table = pd.DataFrame(1e3 * self.task.position, columns=["x_mm", "y_mm", "z_mm"])
@@ -258,9 +257,9 @@ class Selection(DesignProblem, Shown):
 
     @property
     def table(self) -> pd.DataFrame:
-        """The measuring plan as a table with one row per measurement.
+        """Return the measuring plan as a table with one row per measurement.
 
-        It has the pose's number, payload, approach, the instrument's columns, readings (q1_deg,
+        It has the row's number, payload, approach, the instrument's columns, readings (q1_deg,
         ...) and the model's position in the measuring frame. The columns nominal_x_mm ... help to
         find the reflector; they are not measurements.
         """

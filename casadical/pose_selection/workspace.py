@@ -35,7 +35,7 @@ class Box:
     """A box-shaped obstacle, parallel to the measuring frame's axes.
 
     low, high : opposite corners in that frame, shape (3,) [m]
-    Raises InputError: a coordinate of low that is not below that of high.
+    Raises InputError: another shape, or a coordinate of low that is not below that of high.
     """
 
     low: Array
@@ -65,8 +65,7 @@ class Box:
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.stack([(np.asarray(corner) - station) / along for corner in (self.low, self.high)])
-        # A line parallel to a face never crosses it: it is between the two faces, or always
-        # outside.
+        # A line parallel to a face never crosses it: it is between the two faces or outside.
         between = (np.asarray(self.low) <= station) & (station <= np.asarray(self.high))
         parallel = along == 0
         enter = np.where(parallel, np.where(between, -np.inf, np.inf), t.min(axis=0)).max(axis=1)
@@ -120,13 +119,12 @@ class Tracker:
 class Workspace:
     """Which poses can be measured.
 
-    lower : lower limits of the readings, shape (joints,) [rad or m]; None: the robot's
-    upper : upper limits of the readings, shape (joints,) [rad or m]; None: the robot's
+    lower, upper : limits of the joint variables, shape (joints,) [rad or m]; None: the robot's
     margin : smallest margin of every four-bar, see `fourbar.margin`
-    floor : height in the measuring frame below which no link origin or tool point may lie [m];
-        None: any
+    floor : height in the measuring frame below which no origin of links 2 to n, nor the tool point,
+        may lie [m]; None: any
     boxes : obstacles
-    clearance : smallest distance of tool point and link origins from floor and boxes [m]
+    clearance : smallest distance of these points from floor and boxes' faces [m]
     tracker : laser tracker that must see the tool point, past the boxes; None: none
 
     Examples
@@ -152,7 +150,7 @@ class Workspace:
     tracker: Tracker | None = None
 
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
-        """Return lower and upper limits of the joint readings, shape (joints,) each [rad or m].
+        """Return lower and upper limits of the joint variables, shape (joints,) each [rad or m].
 
         Where the workspace has none, they are the robot's own.
 
@@ -168,12 +166,12 @@ class Workspace:
         return lower, upper
 
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
-        """Return a mask of the readings that the workspace excludes, shape (n,), for each reason.
+        """Return a mask of the poses that the workspace excludes, shape (n,), for each reason.
 
         The reasons are "joint range", "four-bar margin", "floor", "box" and "line of sight", as far
         as the workspace has such limits.
 
-        q : readings, shape (n, joints) [rad or m]
+        q : joint variables, shape (n, joints) [rad or m]
         """
         lower, upper = self.ranges(robot)
         refused: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
@@ -192,30 +190,31 @@ class Workspace:
         return refused
 
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
-        """Return the workspace with the smallest four-bar margin of some readings as its own.
+        """Return the workspace with the smallest four-bar margin of some poses as its own.
 
         A larger margin of the workspace stays; without four-bars it is returned unchanged.
 
-        q : readings, shape (n, joints) [rad or m]
+        q : joint variables, shape (n, joints) [rad or m]
         """
         if not robot.loops:
             return self
         return replace(self, margin=max(self.margin, float(places_about(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
-        """Return a mask of the readings that may be measured, shape (n,).
+        """Return a mask of the poses that may be measured, shape (n,).
 
-        q : readings, shape (n, joints) [rad or m]
+        q : joint variables, shape (n, joints) [rad or m]
         """
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 
 
 @lru_cache(maxsize=16)
 def _places_function(robot: Robot) -> ca.Function:
-    """Return the CasADi function (q, w, phi) -> (points[3, n], R[3, 3], margin) of the rigid robot.
+    """Return the CasADi function (q, w, phi) -> (points[3, n], R[3, 3], margin), without effects.
 
-    Points are the origins of link frames 2 to n (the first is fixed), then the tool point, in the
-    measuring frame [m]; R is the tool's orientation there, margin that of each four-bar.
+    Points are the origins of link frames 2 to n (the first is fixed) of rigid joints, then the tool
+    point with deflections, in the measuring frame [m]; R is the tool's orientation there, margin
+    that of each four-bar.
     """
     rigid = robot.with_only(())
     model = rigid.model
@@ -229,13 +228,13 @@ def _places_function(robot: Robot) -> ca.Function:
 
 
 def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    """Return points of the robot, tool orientations, and smallest four-bar margins at n readings.
+    """Return points of the robot, tool orientations, and smallest four-bar margins at n poses.
 
     The points, shape (n, joints, 3) [m], are the origins of link frames 2 to n, then the tool
     point; the orientations have the shape (n, 3, 3), both in the measuring frame; the margins (n,)
-    are 1 without a four-bar.
+    are 1 without a four-bar. Effects are omitted.
 
-    q : readings, shape (n, joints) [rad or m]
+    q : joint variables, shape (n, joints) [rad or m]
     """
     count, rigid = len(q), robot.with_only(())
     f = _places_function(robot)
@@ -249,7 +248,7 @@ HalfTurn = Annotated[float, Quantity(ANGLE.factors, np.pi), Field(gt=0)]
 
 
 class _Joint(TomlTable):
-    """Limits of one joint in a workspace file."""
+    """Limits of one joint's variable in a workspace file [rad or m]."""
 
     number: int = Field(ge=1)
     limits: Annotated[Pair, READING]
@@ -282,10 +281,7 @@ class _Tracker(TomlTable):
 
     @model_validator(mode="after")
     def _sees(self) -> _Tracker:
-        """Check that the tracker's keys are complete and that it can see anything.
-
-        Raises FaultError.
-        """
+        """Check that the keys are complete and it can see anything. Raises FaultError."""
         for needed, key in (("towards", "half_angle"), ("opening", "acceptance")):
             if key in self.model_fields_set and getattr(self, needed) is None:
                 raise FaultError(key, f"has no effect without {needed}; give both")
@@ -313,8 +309,7 @@ class _Workspace(TomlTable):
 def read_workspace(path: str | Path, robot: Robot) -> Workspace:
     """Return the workspace in a TOML file, whose coordinates are in the measuring frame.
 
-    Its joint limits are narrowed to the robot's own.
-
+    Its joint limits are the robot's own, narrowed to those of the file.
     Raises InputError that names file and key.
     """
     given = check(_Workspace, load_toml(Path(path)), str(path))
