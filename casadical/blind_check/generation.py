@@ -36,7 +36,7 @@ from casadical.robot.robot_file import to_toml
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
     """Return the base model's Jacobian at the poses of a campaign, shape (n, 3, P) [m per unit].
 
-    It is taken after a calibration on the campaign, which has no effects.
+    It is taken at the values of a calibration of the base model on the campaign.
 
     robot : nominal robot; clean : campaign without effects
     """
@@ -48,7 +48,7 @@ def base_jacobian(robot: Robot, clean: Measurements) -> Array:
 def unabsorbed_rms(J: Array, shift: Array) -> float:
     """Return the rms over all coordinates of the part of a shift that the base model cannot absorb.
 
-    J : Jacobian of the base model, shape (n, 3, P)
+    J : Jacobian of the base model, shape (n, 3, P), on whose columns the shift is projected
     shift : displacement of each measured point, shape (n, 3) [m]; the result is in its unit
     """
     A = J.reshape(shift.size, -1)
@@ -79,17 +79,17 @@ def make(
 
     The manifest contains the hash of the key.
 
-    folder, key : new folders of the campaigns and of the key
+    folder, key : new folders of the campaigns and of the key; n : number of campaigns, at least 4
     seed : seed of everything drawn, which the key contains; None: a random one, which a real test
         needs
-    poses : possible numbers of poses of a campaign
+    poses : possible numbers of poses of a campaign, each at least `MIN_POSES`
     project : folder with problems/ and data/
     executor : executor of `concurrent.futures`; None: a process for each core
     show : called with a campaign's name, the number of campaigns done, and that of all
     also : function that returns texts of additional files by path, which are written together with
         the campaigns
-    Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns'
-    folder.
+    Raises InputError for too few campaigns or poses, a check that is there already, a key within
+    the campaigns' folder, or a missing robot.
     """
     folder, key_folder = Path(folder), Path(key)
     if n < 4:
@@ -156,7 +156,7 @@ def engine_versions() -> dict[str, str]:
 def campaign_of(subject: Subject, plan: Plan) -> tuple[str, str, protocol.Secret]:
     """Return a plan's simulated campaign: its name, its table as CSV text, and what it hides.
 
-    This runs in a worker process.
+    Columns that are not logged are omitted. This runs in a worker process.
 
     Raises ConvergenceError: no equilibrium in six attempts with different draws.
     """

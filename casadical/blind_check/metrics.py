@@ -3,9 +3,8 @@
 Signal is the rms of a coordinate that the hidden effects add and the base model cannot absorb,
 divided by the instrument's noise. Detection, false alarms and FIA (fault isolation accuracy) are
 counted as in the DX diagnosis competitions; the other metrics are casadical's. Intervals of shares
-are Wilson's score intervals (1927), those of means and quantiles come from the bootstrap (Efron
-1979). The bootstrap is implemented here again, because that of the diagnosis is part of what is
-judged.
+are Wilson's score intervals (1927), those of means come from the bootstrap (Efron 1979), which is
+implemented here again, because that of the diagnosis is part of what is judged.
 """
 
 from collections.abc import Sequence
@@ -24,16 +23,17 @@ class Outcome:
     name, robot : name of the campaign, and of its robot
     kind : none, one, several or unlisted
     poses : number of measured poses
-    missing : quantities that were not logged; None: all were
+    missing : quantities that were not logged, separated by commas; None: all were
     effects : names of the hidden effects
-    truth : labels that a right answer names; empty for unlisted effects
+    truth : labels that a right answer names; empty for unlisted effects and for none
     signal : rms of a coordinate that all effects add and the base model cannot absorb, divided by
         the instrument's noise
     signals : the same for each effect alone
     verdict : verdict of the answer: none, explained, ambiguous or unknown
     named : labels of the causes that the answer names
     alike : first named cause and up to two that the answer cannot distinguish from it
-    probability : probability that the answer gives to the truth, the mean over several labels
+    probability : probability that the answer gives to the truth, the mean over several labels; if
+        truth is empty, to "none" or, for unlisted effects, "unknown"
     """
 
     name: str
@@ -72,7 +72,7 @@ class Outcome:
 
     @property
     def first_right(self) -> bool:
-        """Return whether the causes named first are the hidden ones, with their joints, in any order."""
+        """Return whether the causes named first are those of `truth`, in any order; if any."""
         return bool(self.truth) and set(self.truth) <= set(self.named[: len(self.truth)])
 
 
@@ -136,7 +136,7 @@ def fraction(hits: Sequence[bool]) -> Estimate:
 
 
 def mean(values: Sequence[float]) -> Estimate:
-    """Return the mean with its bootstrap interval."""
+    """Return the mean with its 95 % bootstrap interval."""
     if not len(values):
         return Estimate(None, None, None, 0)
     data = np.asarray(values, dtype=float)
@@ -150,7 +150,7 @@ DETECTABLE_SIGNAL = 0.35
 
 
 def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
-    """Return the metrics by name, each with the project's target as text; "" for none."""
+    """Return the metrics by description, each with the project's target as text; "" for none."""
     none, one, several, off = (
         [t for t in outcomes if t.kind == kind] for kind in ("none", "one", "several", "unlisted")
     )

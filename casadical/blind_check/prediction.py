@@ -51,7 +51,7 @@ def diagnosis(name: str, robot: Robot, measured: Measurements) -> dict[str, Any]
     """Return the answer of the diagnosis to a campaign as plain data.
 
     It is what `casadical diagnose --json` writes, with the entry `posterior` (probability by label,
-    "none" and "unknown" included).
+    "none" and "unknown" included, from 1e-5 on).
     """
     from casadical.diagnosis.details import Details
     from casadical.diagnosis.json_answer import as_json

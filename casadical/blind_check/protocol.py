@@ -34,7 +34,7 @@ Kind = Literal["none", "one", "several", "unlisted"]
 
 
 def label(effect: str, joint: int | None) -> str:
-    """Return the label by which effects are compared: EFFECT, or EFFECT@JOINT."""
+    """Return the label by which effects are compared: EFFECT@JOINT, or EFFECT for `jointless`."""
     # Names of effects that belong to no joint, so that answers are compared without a joint.
     jointless = {
         *("thermal_growth", "target_shift", "payload_error", "gravity_compensator"),
@@ -93,7 +93,7 @@ class Secret(_Strict):
 
     robot, kind, poses : name of the robot, kind of the campaign, number of its measured poses
     hidden : its effects
-    missing : quantities that were not logged; None: all were
+    missing : quantities that were not logged, separated by commas; None: all were
     noise : standard deviation of a measured coordinate [m]
     repeatability : standard deviation of a joint about its reading [rad]
     visible : rms of a coordinate that all effects together add and the base model cannot absorb [m]
@@ -110,7 +110,7 @@ class Secret(_Strict):
 
     @property
     def truth(self) -> tuple[str, ...]:
-        """Return the labels that a right answer names; none for effects that are not listed."""
+        """Return the labels that a right answer names; () if no listed effect is hidden."""
         return () if self.kind == "unlisted" else tuple(h.label for h in self.hidden)
 
 

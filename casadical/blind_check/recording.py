@@ -65,7 +65,7 @@ def draw_plans(
 ) -> list[Plan]:
     """Return the plans of n campaigns in random order, with fixed proportions of their kinds.
 
-    Robots, numbers of poses, effects and missing columns take turns.
+    Robots, numbers of poses, effects and missing columns take turns; "several" are two or three.
 
     seed : seed of everything drawn
     words : names of the effects that are on the diagnosis' list, and of those on none

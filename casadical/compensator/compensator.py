@@ -32,7 +32,7 @@ class Progress:
     training : number of the current training, from 1
     trainings : number of all trainings
     step : number of steps done in the current training
-    loss_mm2 : the paper's loss (eq. 14) of its best weights so far [mm^2]
+    loss_mm2 : the task's `Loss` (by default eq. 14) at its best weights so far [mm^2]
     """
 
     training: int
@@ -46,7 +46,7 @@ class Training:
     """Outcome of one training.
 
     weights : best weights, shape (count,), in the order of `Layout`
-    loss_mm2 : the paper's loss (eq. 14) of the training poses [mm^2]
+    loss_mm2 : the task's `Loss` (by default eq. 14) of the training poses [mm^2]
     steps : number of steps
     reasons : why the training stopped, as text
     note : what the trainer chose by itself, in words
@@ -121,7 +121,7 @@ def train_all(
     return done
 
 
-# Joint readings q, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm].
+# Joint variables q, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm].
 Data = tuple[ArrayLike, ArrayLike]
 
 
@@ -131,7 +131,7 @@ class Compensator:
 
     network : network in use; None: the null compensator, which corrects nothing
     layout : sizes of the network
-    trained_box : ranges of the joint readings of the training poses [rad]
+    trained_box : ranges of the joint variables of the training poses [rad]
     training : errors of the training poses without and with the trained network, even if refused
     choice : the same for poses that it was not trained on and that decided whether it is used
     validation : the same for poses that had no part in any choice; None: none were given
@@ -193,7 +193,8 @@ class Compensator:
     ) -> Self:
         """Return a network trained on residuals, or the null compensator if it does not help.
 
-        q : shape (n, joints) [rad]: readings of the training poses
+        q : shape (n, joints) [rad]: joint variables of the training poses, not a controller's
+            readings where these differ
         residual_mm : shape (n, outputs) [mm]: their residuals, measured less computed
         validate : (q, residual_mm) of further poses, for the report only
         choose : (q, residual_mm) of poses that decide whether the network helps, instead of a
@@ -202,14 +203,14 @@ class Compensator:
         layout : sizes of the network; None: one hidden layer of 5 neurons
         joint_range : joint ranges that scale the inputs; None: those of the training poses
         output_scale_mm : millimetres of one unit of the output layer, 1 in the paper; None: root
-            mean square of the residual's coordinates
+            mean square of the residual's coordinates, or 1 if all are zero
         loss : loss that is minimised; None: the paper's
         seed : seed of everything random
         folds : number of folds of the cross-validation, where `choose` is not given
         margin : number of its standard errors that the gain must exceed
         progress : as of `train_all`
-        Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer
-        than 10 poses.
+        Raises InputError: wrong shapes, values that are not finite, fewer than 10 poses, folds
+        beyond 2 to n, a negative margin, an unknown trainer.
         """
         rows = joint_angles(q, layout.joints if layout else None)
         targets = residuals(residual_mm, len(rows), layout.outputs if layout else None)
@@ -269,7 +270,8 @@ class Compensator:
         """Return a sentence that states whether the network helps, with its effect on held-out poses.
 
         It has the mean error before and after [mm] and its relative reduction with the standard
-        error [%], of poses not trained on; a second sentence warns if the largest error grows.
+        error [%], of poses not trained on; if it helps, a second sentence warns if the largest
+        error grows.
         """
         c = self.choice
         change = f"{c.before.mean_mm:.4g} -> {c.after.mean_mm:.4g} mm on poses not trained on, by {self.chosen_by}"
@@ -292,7 +294,7 @@ class Compensator:
 
         It is in the measuring frame. The null compensator returns zeros.
 
-        q : joint readings, shape (n, joints) or (joints,) [rad]; outside of `trained_box` the
+        q : joint variables, shape (n, joints) or (joints,) [rad]; outside of `trained_box` the
             network extrapolates, see `inside`
         """
         if self.network is not None:
@@ -301,13 +303,13 @@ class Compensator:
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
     def inside(self, q: ArrayLike) -> Array:
-        """Return a mask of those rows of q, (n, joints) [rad], within the training ranges, (n,)."""
+        """Return a mask of joint variables q, (n, joints) [rad], in the training ranges, (n,)."""
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 
     def function(self) -> "casadi.Function":
         """Return the CasADi function ``network:(q[joints] rad)->(dp[outputs] mm)``.
 
-        That of the null compensator is zero.
+        q are joint variables, dp is in the measuring frame; that of the null compensator is zero.
         """
         if self.network is not None:
             return self.network.function()
@@ -320,7 +322,7 @@ class Compensator:
 def _apply(network: Network, data: Data) -> BeforeAfter:
     """Return the position errors of poses without and with a network.
 
-    data : joint readings, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm]
+    data : joint variables, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm]
     """
     rows = joint_angles(data[0], network.layout.joints)
     before = residuals(data[1], len(rows), network.layout.outputs)

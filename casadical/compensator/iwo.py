@@ -24,17 +24,17 @@ class IwoSettings:
     """Settings of the search; the defaults are the paper's (section 4).
 
     initial : number of members at the start
-    maximum : largest number of members of later generations
+    maximum : largest number of members that are selected in a generation
     seeds_min : number of children of the worst member
     seeds_max : number of children of the best member
     exponent : exponent with which the steps shrink, eq. 13
     sigma_initial : standard deviation of steps at the start, eq. 13 [unit of the bounds]
     sigma_final : standard deviation of steps at the end, eq. 13 [unit of the bounds]
-    lower, upper : bounds, one number for all coordinates or one for each
+    lower, upper : bounds of the coordinates, one number for all or one for each
     dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform
         in [0, 1]
     iterations : largest number of generations
-    target : loss at which the search stops; None: none
+    target : loss at or below which the search stops; None: none
     patience : number of generations without a lower loss after which the search stops; None: none
 
     Examples
@@ -84,8 +84,8 @@ class IwoSettings:
 def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
     """Return the number of children of every member, shape (members,) (eqs. 15-16).
 
-    The number falls linearly from the best to the worst finite loss. If all losses are equal, all
-    members count as best. A member whose loss is not finite has `seeds_min` children.
+    The number falls linearly from the best to the worst finite loss and is rounded down. If all
+    losses are equal, or infinite, all count as best; else one that is infinite has `seeds_min`.
 
     losses : shape (members,)
     seeds_min, seeds_max : numbers of children of the worst and the best member
@@ -138,7 +138,8 @@ class InvasiveWeeds:
     dimension : number of coordinates
     settings : settings of the search; None: the paper's
     seed : seed of its own random generator
-    start : shape (k, dimension): members to begin with instead of some of the random ones
+    start : shape (k, dimension): points of the first colony, clipped at the bounds, instead of k of
+        its random ones
 
     Examples
     --------

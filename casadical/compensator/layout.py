@@ -149,7 +149,7 @@ class JointBox:
 
 
 def box_around(q: Array) -> JointBox:
-    """Return the smallest box that contains the joint angles q, shape (n, joints) [rad]."""
+    """Return the smallest box that contains the joint angles q, shape (n, joints) [rad], n > 0."""
     return JointBox(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
 
 

@@ -57,8 +57,7 @@ def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffer
     """
     first, *rest = layout.layers(weights)
     buffers, samples, dtype = buffers or OutputBuffers(), inputs.shape[1], np.result_type(weights, inputs)
-    # The first layer sees the same inputs in every network: one matrix product for the whole
-    # colony.
+    # The first layer sees the same inputs in every network: one matrix product for the colony.
     z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=buffers(0, (first[..., 0].size, samples), dtype))
     z = z.reshape(len(weights), -1, samples)
     for level, layer in enumerate(rest, 1):
@@ -114,8 +113,7 @@ def outputs_and_jacobian(layout: Layout, weights: Array, inputs: Array) -> tuple
     layers = layout.layers(weights)
     count, size, samples = outputs.shape
     jacobian = np.empty((count, layout.count, size, samples))
-    # slope[p, o, m, n]: derivative of output o by the weighted sum of neuron m of the current
-    # layer.
+    # slope[p, o, m, n]: derivative of output o by the weighted sum of this layer's neuron m.
     slope: Array = np.broadcast_to(np.eye(size)[None, :, :, None], (count, size, size, samples))
     stop = layout.count
     for level in reversed(range(len(layers))):
@@ -168,10 +166,11 @@ class Network:
         object.__setattr__(self, "weights", weights)
 
     def output_mm(self, q: Array) -> Array:
-        """Return the position correction at joint readings, shape (n, outputs) or (outputs,) [mm].
+        """Return the position correction at joint variables, shape (n, outputs) or (outputs,) [mm].
 
-        q : joint readings, shape (n, joints) or (joints,) [rad]
+        It is to be added to computed positions in the measuring frame, like the training residuals.
 
+        q : joint variables, shape (n, joints) or (joints,) [rad]
         Raises InputError: another shape, or an angle that is not finite.
         """
         rows = joint_angles(q, self.layout.joints)
@@ -313,8 +312,7 @@ class Task:
     def losses(self, weights: Array) -> Array:
         """Return the loss of every row of weights, shape (P,) [mm^2], without a ridge.
 
-        It is `Loss.value`: by default the mean plus 0.7 times the maximum of the poses' mean square
-        errors.
+        It is `Loss.value`: by default the mean plus 0.7 times the maximum of mean square errors.
 
         weights : one network per row, shape (P, count)
         """
@@ -349,7 +347,7 @@ def make_task(
 
     layout : sizes of the network
     box : joint ranges by which the inputs are scaled [rad]
-    q : shape (n, joints) [rad]: joint readings
+    q : shape (n, joints) [rad]: joint variables
     residual_mm : shape (n, outputs) [mm]: residuals, measured less computed
     scale_mm : millimetres of one unit of the output layer
     loss : loss that is minimised; None: the paper's

@@ -35,8 +35,9 @@ class BeforeAfter:
     """Errors of the same poses without and with the network.
 
     before, after : statistics without and with the network
-    gain : relative reduction of the mean error, 1 - mean after / mean before; 0.3 is 30 %
-    gain_error : standard error of the gain
+    gain : relative reduction of the mean error, 1 - mean after / mean before; 0.3 is 30 %; 0 if
+        the mean before is zero
+    gain_error : standard error of the gain; 0 for one pose, or if the mean before is zero
     """
 
     before: Errors
@@ -61,7 +62,7 @@ class BeforeAfter:
 
 
 def table(rows: dict[str, BeforeAfter]) -> str:
-    """Return the statistics of several sets of poses, by name, as a plain text table [mm]."""
+    """Return statistics of sets of poses, by name, as text, without > with the network [mm]."""
     lines = [f"{'[mm]':24}{'poses':>6}  {'mean':>15}  {'max':>15}  {'std':>15}"]
     for name, row in rows.items():
         b, a = row.before, row.after

@@ -79,8 +79,8 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     """Return the compensator in a file that `save_compensator` wrote, without its training history.
 
     path : JSON file
-    Raises InputError: the file is missing, truncated, changed, of another kind or version, or
-    inconsistent.
+    Raises InputError: the file is missing, truncated, changed, of another kind or version,
+    inconsistent, or has a network of too large corrections (see `_refuse_large`).
 
     Examples
     --------
@@ -112,12 +112,10 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
 
 
 def _refuse_large(found: Compensator) -> None:
-    """Check that a network's corrections in its training box are at most ten times its errors.
+    """Refuse a network whose corrections in its training box exceed ten times the errors there.
 
     The largest correction at 1000 random joint angles in the box is compared with ten times the
-    largest training error without the network.
-
-    Raises InputError.
+    largest training error without the network. Raises InputError.
     """
     if found.network is None:
         return

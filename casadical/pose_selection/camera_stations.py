@@ -192,7 +192,7 @@ def _exact(robot: Robot, q: Array, camera: Camera, noise: CameraNoise) -> Measur
 
 
 def _view(m: Measurements) -> Array:
-    """Return distance [m] and angles of line of sight to camera's axis and board's normal, (3, n)."""
+    """Return distance [m] and angles of sight line to camera's axis and board's normal, (3, n)."""
     assert m.noise is not None
     axes, away = lines_of_sight(m.view, m.noise)
     line = axes[:, 2]

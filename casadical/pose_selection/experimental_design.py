@@ -33,7 +33,7 @@ class Design:
         be chosen, itself included; below zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)
 
-    As long as the set does not determine all parameters, gains are of the information's determinant.
+    As long as the set does not determine all parameters, gains are of the determinant.
     """
 
     def __init__(self, weight: Array, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:

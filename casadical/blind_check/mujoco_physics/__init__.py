@@ -2,7 +2,7 @@
 
 ``Plant.from_dict`` reads a nominal robot, ``perturb`` adds building errors, ``campaign`` measures
 it with ``Hidden`` effects, ``measure`` does so at given poses, ``draw_effect`` draws one at random.
-The engine finds the equilibrium. Of casadical only basic types and errors are imported: rotations,
+The engine finds the equilibrium. Of casadical only errors and display are imported: rotations,
 loops and tables are implemented here again, so that a diagnosis that is checked against these
 campaigns is not checked against its own formulas. MuJoCo is loaded when an ``Engine`` is made:
 ``pip install 'casadical[withheld]'``.

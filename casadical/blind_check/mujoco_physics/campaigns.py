@@ -35,14 +35,14 @@ def measure(
 ) -> pd.DataFrame:
     """Return the table of a simulated campaign at given poses, with positions of the reflector.
 
-    Quantities that `readings` lacks are constant (temperature, payload, approach), the time grows
-    by 30 s.
+    Quantities that `readings` lacks are constant (20 degC, the declared payload, approach 1), the
+    time grows by 30 s.
 
     plant : robot as built; hidden : hidden effects that act on it
     readings : table with the columns q1_deg, .. (q1_mm of a prismatic joint) and, as far as they
         are given, time_s, temperature_degC, payload_kg, approach1, ..
     seed : seed of all random draws; options : as of `table.Options`
-    Raises InputError where a reading is missing.
+    Raises InputError where a column of readings is missing, or all rows are.
     """
     n, columns = len(readings), columns_of_readings(plant)
     missing = [name for name in columns if name not in readings]
@@ -60,7 +60,8 @@ def measure(
 def positions(plant: Plant, hidden: Sequence[Hidden | Cause], stops: Stops, jitter: Array | float = 0.0) -> Array:
     """Return the reflector's positions as the tracker sees them without noise, shape (n, 3) [m].
 
-    They are in the measuring frame, by equilibria in MuJoCo.
+    They are by equilibria in MuJoCo, in the tracker's frame: the measuring one unless effects move
+    the tracker.
 
     plant : robot as built; hidden : hidden effects; stops : n poses with their circumstances
     jitter : errors that are added to the readings, shape (n, joints) [rad or m]

@@ -164,9 +164,9 @@ def largest_torque(plant: Plant) -> Array:
 def rated_torque(plant: Plant) -> Array:
     """Return the torque by which effects of each joint are sized, shape (joints,) [N m or N].
 
-    It is the joint's `largest_torque`, but at least 5 % of the largest of all joints. If no joint
-    carries weight, as in an arm that moves in a level plane, the latter is the moment of all
-    weights of the arm stretched out horizontally.
+    It is the joint's `largest_torque`, but at least 5 % of the largest of all joints. If that is
+    below 0.1 % of the moment of all weights of the arm stretched out horizontally, as where it moves
+    in a level plane, the moment takes its place.
     """
     largest, full = largest_torque(plant), stretched_moments(plant, 0)[1]
     greatest = largest.max() if largest.max() > 1e-3 * full else full
@@ -245,16 +245,16 @@ class Cause:
         return cast(Mechanism, self._in("built", mechanism, mechanism, plant))
 
     def motors(self, plant: Plant, stops: Stops) -> Array | float:
-        """Return the motors' deviations from the readings, (n, joints) [rad]; 0 for none."""
+        """Return the motors' deviations from readings, (n, joints) [rad]; 0 at other places."""
         error = self._in("motors", None, plant, stops)
         return 0.0 if error is None else in_column(self.sizes["joint"], error, plant.n)
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
-        """Return deviations from the built mechanism, with values of shape (n, 3) at n poses."""
+        """Return deviations from the built mechanism, values of shape (n, 3) at n poses, or ()."""
         return cast(Sequence[Setting], self._in("settings", (), plant, stops))
 
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
-        """Return the positions that the instrument measures, shape (n, 3) [m]; xyz : true ones."""
+        """Return positions that the instrument measures instead of xyz, both (n, 3) [m]."""
         return cast(Array, self._in("measured", xyz, xyz, stops, rng))
 
 

@@ -81,7 +81,7 @@ def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean
 
     The length of the unstretched spring is four fifths of that at which post and lug are closest.
 
-    size : largest torque of the spring on joint 2, divided by the rated torque
+    size : largest torque of the spring on joint 2 at any angle, divided by the rated torque
     lean : angle of the post from the vertical [rad]
     post : distance of the post from joint 2, divided by that of the spring's lug on the arm; above
         1, so that the spring never folds
@@ -105,7 +105,7 @@ def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean
 def hose_pull(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
     """Return the mechanism with a hose from the forearm to the tool; not a listed effect.
 
-    The hose pulls where its length exceeds 85 % of that at zero readings.
+    The hose pulls where its length exceeds 85 % of about that at zero readings.
 
     size : deflection of joint 5, about, where it is stretched by a third of that length [rad]
     """

@@ -53,7 +53,7 @@ def outliers(xyz: Array, stops: Stops, rng: np.random.Generator, *, share: float
 def range_offset(plant: Plant, stops: Stops, *, size: float, stand_m: Vector) -> list[Setting]:
     """Return the settings of a tracker that measures every distance too long; not listed.
 
-    size : range offset [m]
+    size : range offset [m]; below zero: distances are too short
     stand_m : position of the tracker in the measuring frame, shape (3,) [m]
     """
     sight = reflector(settle(plant, stops)) - np.array(stand_m)

@@ -227,9 +227,9 @@ def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -
 def loose_cargo(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
     """Return the mechanism with a payload that is loose in its crate; not a listed effect.
 
-    It slides against the lowest walls, from a pad that holds it in the middle up to a tenth of its
-    weight. The largest displacement is `size` times the stiffness of joint 5 (of the last one, if
-    there are fewer) over the payload's weight.
+    It slides against the lowest walls, where springs to the middle take a tenth of its weight. The
+    largest displacement is `size` times the stiffness of joint 5 (of the last one, if there are
+    fewer) over the payload's weight.
 
     size : deflection of that joint by the largest displacement [rad]
     """

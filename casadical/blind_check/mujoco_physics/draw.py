@@ -16,7 +16,7 @@ _EFFECTS_UNDER_LOAD = ("backlash", "nonlinear_stiffness", "rubber_coupling")
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int = 100) -> Hidden:
-    """Return a hidden effect of this name with a random joint and random sizes.
+    """Return a hidden effect of this name with random sizes and, if it belongs to one, joint.
 
     plant : robot as built; effect : name in `LISTED` or `UNLISTED`
     poses : number of poses of the campaign, which determines its duration

@@ -183,7 +183,7 @@ class Engine:
     def rest(self, stop: Stop) -> Array:
         """Return the reflector's position in equilibrium, as the tracker sees it, shape (3,) [m].
 
-        Raises ConvergenceError: no rest within some thousand steps.
+        Raises ConvergenceError: no rest within 1500 steps, after those of the motion to the pose.
         """
         self._arrange(stop)
         if self.mechanism.travels:

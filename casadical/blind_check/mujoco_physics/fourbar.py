@@ -12,8 +12,7 @@ from casadical.core.basics import InputError
 class ClosedLoop:
     """A closed four-bar loop at n poses, in the plane of the link before the driven joint.
 
-    The origin is on the axis of the joint before the driven one, the first coordinate along that
-    link's x axis.
+    The origin is on the axis of the joint before the driven one, the first axis along its link's x.
 
     crank_end : joint between crank and coupler, shape (n, 2) [m]
     coupler_end : joint between coupler and rocker, shape (n, 2) [m]

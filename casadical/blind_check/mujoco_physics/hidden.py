@@ -85,7 +85,7 @@ def cause(hidden: Hidden, joints: int = 6) -> Cause:
 
 
 def causes(hidden: Sequence[Hidden | Cause], joints: int = 6) -> list[Cause]:
-    """Return the causes by which hidden effects act in the engine, in the order of building.
+    """Return the causes by which hidden effects act in the engine, couplings of joints last.
 
     hidden : effects by name, or causes, which are taken unchanged
     joints : number of the robot's joints

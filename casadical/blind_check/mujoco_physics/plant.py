@@ -140,7 +140,7 @@ class Plant(Shown):
 
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:
-        """Return the nominal robot of a mapping as in data/campaigns/robots.
+        """Return the nominal robot of a mapping as in data/campaigns/robots, its base at identity.
 
         Raises InputError: a key or a shape is wrong.
         """
@@ -290,11 +290,11 @@ def perturb(
     stiffness_spread: float = 0.4,
     building: Building = Building(),
 ) -> Plant:
-    """Return the robot with random building errors: three lengths and three angles of every link.
+    """Return the robot with random building errors: six of every link, and those of the arguments.
 
     plant : nominal robot; seed : seed of all errors
     length_mm, angle_mrad : standard deviation of each coordinate [mm] and angle [mrad] of a link's
-        error; also those of the bars' lengths and of the crank's zero
+        error; also those of the lengths of crank and coupler and of the crank's zero
     base : largest displacement [m] and rotation [deg] of the robot's base in the measuring frame
     tool_mm : standard deviation of each coordinate of the reflector's error [mm]
     stiffness_spread : standard deviation of the logarithm of the joint stiffnesses

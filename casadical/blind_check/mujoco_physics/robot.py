@@ -20,7 +20,7 @@ def mechanism(plant: Plant) -> Mechanism:
 
     A four-bar that drives joint 3 adds the bodies ``crank`` (turned by ``joint3`` on the axis of
     joint 2) and ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends
-    in a ball joint on link 3. The mechanism is described in the middle of the joint ranges.
+    in a ball joint on link 3; so for other driven joints. `ref` is the middle of the joint ranges.
     """
     middle = np.mean(plant.ranges, 1)
     bodies = [Body("pedestal", "world", plant.base)]

@@ -108,7 +108,7 @@ def draw_stops(
     seeds : seeds of the times and of the approaches
     payload_states : declared masses of the payload that alternate [kg]
     approach : "chance" for random directions of approach, "motion" for those of the joints' motions
-        from pose to pose
+        from pose to pose, but for the first pose
     """
     n = len(q)
     time = np.cumsum(np.round(np.random.default_rng(seeds[0]).uniform(20.0, 40.0, n), 1))

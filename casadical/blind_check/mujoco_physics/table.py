@@ -62,8 +62,8 @@ class Options(TypedDict, total=False):
     ranges_deg : ranges of random readings, shape (joints, 2) [deg or mm]; None: the plant's
     crank_distance_m : limits of the four-bar's crank distance [m]; None: a quarter of the rocker
         away from the singular poses
-    truth : whether the columns x_true_mm, y_true_mm, z_true_mm are added: without noise, joints
-        exactly repeated, and the instrument without errors
+    truth : whether the columns x_true_mm, y_true_mm, z_true_mm are added: without noise, joint
+        repeatability and outliers, but with effects that move the tracker
     """
 
     noise_mm: float

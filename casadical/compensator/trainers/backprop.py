@@ -15,11 +15,11 @@ class Backprop(Trainer):
     """Full-batch gradient descent with momentum and an adaptive learning rate.
 
     steps : number of gradient steps
-    rate : initial learning rate
+    rate : initial learning rate, of the loss in squared units of the output layer
     momentum : factor of the previous step in the next one
     faster : factor on the rate after a step that lowers the loss
-    slower : factor on the rate after a step that raises the loss by more than `tolerance`; that
-        step is undone
+    slower : factor on the rate after a step that raises the loss by more than `tolerance` or makes
+        it infinite; that step is undone
     tolerance : largest relative increase of the loss that is accepted
     """
 

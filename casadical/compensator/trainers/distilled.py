@@ -4,8 +4,8 @@ From fifty poses a network with one ridge for all weights cannot learn which joi
 Gaussian process with a length scale for each joint can (Rasmussen and Williams, Gaussian Processes
 for Machine Learning, 2006, ch. 5). It has a squared exponential kernel, noise and zero mean; its
 hyperparameters maximise the likelihood, by sign steps (Rprop, Riedmiller and Braun 1993).
-Levenberg-Marquardt then fits the network to the process's mean at many random poses in the box of
-the measured ones.
+Levenberg-Marquardt then fits the network to the process's mean at the measured poses and at many
+random ones in their box.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError
 
-# Largest number of poses from which the length scales are estimated; the process itself uses all.
+# Largest number of poses from which the hyperparameters are estimated; the process itself uses all.
 MAX_POSES_FOR_LENGTHS = 300
 
 
@@ -49,7 +49,7 @@ class GaussianProcess:
         few, wanted = inputs[:MAX_POSES_FOR_LENGTHS], targets[:MAX_POSES_FOR_LENGTHS]
         rms = np.log(np.sqrt(np.mean(wanted**2)) + 1e-12)
         width = inputs.shape[1]
-        # Lower and upper bound of the length scales [half ranges of the joints].
+        # Lower and upper bound of the length scales [unit of the inputs, half ranges of joints].
         length_range = (0.1, 100.0)
         low = np.r_[np.full(width, np.log(length_range[0])), rms - 4, rms - 5]
         high = np.r_[np.full(width, np.log(length_range[1])), rms + 2, rms + 1]
@@ -142,14 +142,14 @@ class Taught(Trainer):
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
 
     def begin(self, task: Task, seed: int) -> LmRun:
-        """Fit the process and return a training on its predictions, with no step done."""
+        """Return a training on predictions of the process fitted to the task, with no step done."""
         lessons, note = self._lessons(task, seed)
         run = self.lm.begin(lessons, seed)
         run.chosen = note
         return run
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
-        """Return the task of learning the process's predictions, and its length scales in words.
+        """Return the task of learning a fitted process's mean, and its length scales in words.
 
         Raises InputError for periodic inputs.
         """

@@ -72,8 +72,7 @@ class IwoRun:
 class IwoThenLm(Trainer):
     """Invasive weed optimisation followed by Levenberg-Marquardt from its best weights.
 
-    iwo, lm : settings of both parts; ``lm.restarts`` is not used, the ridge is chosen as in
-        `LevenbergMarquardt`
+    iwo, lm : settings of both parts; ``lm.restarts`` is not used, the ridge is chosen as by `lm`
     """
 
     name: ClassVar[str] = "iwo-lm"

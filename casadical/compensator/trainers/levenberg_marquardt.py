@@ -2,10 +2,11 @@
 
 First the ridge is chosen: every fold is trained from a few random starts at the weakest ridge, and
 from there at stronger and stronger ones; the ridge with the smallest mean square error on the
-held-out poses is taken. (From strong to weak, a ridge that is too strong would end the search: it
-sets all weights to zero, a stationary point of every weaker ridge.) Then the network is trained on
-all poses with restarts at that ridge; the one with the lowest cost is taken. The cost is the mean
-square error, without the paper's maximum term.
+held-out poses is taken; after two worse ones, no stronger one is tried. (From strong to weak, a
+ridge that is too strong would end the search: it sets all weights to zero, a stationary point of
+every weaker ridge.) Then the network is trained on all poses with restarts at that ridge; the one
+with the lowest cost is taken. The cost is the mean squared norm of errors plus the ridge's term,
+without the paper's maximum term.
 
 Many small networks are trained at once. Problem p minimises
 sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of squared weights, without the biases of the
@@ -209,7 +210,7 @@ class LmRun:
         return (f"iterations: all {self.trainer.iterations} done",) if self.inner >= self.trainer.iterations else ()
 
     def best(self) -> Array:
-        """Return the weights of the lowest cost, shape (count,)."""
+        """Return the weights of the lowest cost in the current batch, shape (count,)."""
         return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
 
     def note(self) -> str:
@@ -248,7 +249,7 @@ class LmRun:
     def _next_ridge(self) -> None:
         """Score the current ridge on held-out poses and begin the next or the final training.
 
-        The score is the mean square error on held-out poses, by each fold's best start.
+        The score is the mean squared norm of errors on held-out poses, by each fold's best start.
         """
         cost = self.batch.cost.reshape(self.folds, -1)
         chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
