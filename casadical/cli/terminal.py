@@ -30,7 +30,7 @@ from casadical.core.reporting.result import shortened, terminal
 
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
-# Exit code for unusable input.
+# Exit code for unusable input, and for a check that found errors.
 EXIT_BAD_INPUT = 2
 # Exit code where the solver found no optimum.
 EXIT_NO_CONVERGENCE = 3

@@ -179,7 +179,7 @@ class Calibration(Result):
         return next_step("to learn the cause of the remaining error", "diagnose", source, *tables)
 
     def brief(self) -> Sequence[Block]:
-        """Return the main results in at most 20 lines of 80 columns, the verdict first."""
+        """Return the main results in about 20 lines: title, notes on the input, verdict, errors."""
         return self._report_blocks(brief=True)
 
     def blocks(self) -> Sequence[Block]:

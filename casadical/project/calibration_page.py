@@ -50,7 +50,7 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:  # diagnoses take a third of the time of all imports
     from casadical.diagnosis.localisation import Localisation
 
-# Maximum number of poses from which the residual error is localised; of more, so many are drawn.
+# Maximum number of poses that localise the residual error; of more, a random draw is taken.
 MAX_LOCALISED_POSES = 5_000
 # Styles (colour, symbol, dash) of the network methods in figures, in the order of their trainers;
 # they repeat if there are many plug-ins.

@@ -179,7 +179,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
 
 
 def _check_ranges(robot: Robot, columns: Columns, kind: str | None) -> None:
-    """Raise the FaultsError of `check_against` (joint limits, payloads); other errors pass."""
+    """Check joint limits and payloads; other errors are passed over. Raises FaultsError."""
     try:
         check_against(robot, from_columns(columns, [j.kind for j in robot.joints], kind))
     except FaultsError:

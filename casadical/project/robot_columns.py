@@ -433,7 +433,7 @@ def some_rows(rows: Sequence[object]) -> str:
 
 
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
-    """Raise InputError for a table that does not name its target, if the robot has several."""
+    """Check that a table names its target, if the robot has several. Raises InputError."""
     if robot.targets and not names_in(m):
         target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(

@@ -198,7 +198,7 @@ def meant_length(value: float, departure: float) -> float:
     return value + departure
 
 
-# Function of readings that returns the residuals of their lengths from predictions, shape
+# Function of measured poses that returns residuals of their lengths from predictions, shape
 # (n, lengths) [m], and their squared Mahalanobis distances ("surprise"), shape (n,).
 Misses = Callable[[Measurements], tuple[Array, Array]]
 

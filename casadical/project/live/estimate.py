@@ -33,7 +33,8 @@ MAX_REFITTED_READINGS = 12
 # Number of scalars observed in a reading -> limit of the squared Mahalanobis distance ("surprise")
 # of the reading from its prediction: quantiles of chi-squared that noise exceeds in 1 of 700 000.
 MAX_SURPRISE = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
-# Maximum standard deviation [mm] with which the others predict a reading that is judged.
+# Maximum standard deviation [mm] of the prediction of a reading that is judged, and of the scaled
+# parameters of a base that the readings determine.
 MAX_PREDICTION_SIGMA_MM = 100.0
 
 

@@ -579,7 +579,7 @@ def finished(session: LiveSession) -> str:
 
 
 def _refuse_measured(folder: Path) -> None:
-    """Raise InputError for a folder with tables of an earlier campaign that are not synthetic."""
+    """Refuse tables of an earlier campaign that are not synthetic. Raises InputError."""
     file = problem_file(folder)
     others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":

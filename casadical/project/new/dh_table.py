@@ -185,9 +185,9 @@ def _word(row: Mapping[str, Any], key: str) -> str:
     return "" if isinstance(value, float) and math.isnan(value) else str(value).strip().lower().removesuffix(".0")
 
 
-# Columns of a table of DH rows that are lengths, without units; a table has one unit for them.
+# Names, without unit, of DH columns that are lengths; where one states no unit, another's counts.
 _LENGTH_STEMS = ("a", "d")
-# Columns of a table of DH rows that are angles, without units; a table has one unit for them.
+# Names, without unit, of DH columns that are angles; where one states no unit, another's counts.
 _ANGLE_STEMS = ("alpha", "theta", "lower", "upper")
 
 
