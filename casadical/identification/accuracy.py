@@ -76,7 +76,7 @@ def turn_errors(robot: Robot, m: Measurements) -> Array | None:
 def summarise(errors: Array) -> Accuracy:
     """Return the statistics of errors, shape (n,) [m]; the standard deviation divides by n - 1.
 
-    Errors in rad give statistics in rad.
+    It is 0 for one error. Errors in rad give statistics in rad.
     """
     return Accuracy(
         n=len(errors),

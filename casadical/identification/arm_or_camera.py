@@ -438,7 +438,7 @@ def _share(samples: Array, noise: float) -> Share:
 
 
 def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:
-    """Return s combinations of prior widths (s, k + 4), log priors (s,), camera errors (s, 3).
+    """Return s combinations of prior widths (s, k + 4), their log priors, masks of causes (s, 3).
 
     drawn, widths : as of `_Model`
     """

@@ -47,7 +47,7 @@ class Departure(Shown):
     size : posterior median of s [mm for lengths, mrad for angles]
     low, high : 95 % interval [mm, mrad]
     prior : prior standard deviation of the fit [mm, mrad]; None: the poses determine the geometry,
-        and the fit is free
+        or it would exceed MAX_PRIOR_SIZE, and the fit is free
     """
 
     line: ClassVar[str] = " {{ it.size | f('.2g') }} mm ({{ it.low | f('.2g') }} to {{ it.high | f('.2g') }})"

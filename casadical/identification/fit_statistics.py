@@ -53,8 +53,8 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 def redundancies(problem: LeastSquares, v: Array) -> Array:
     """Return the redundancy number (1 minus leverage) of each residual, shape (residuals,).
 
-    Their sum is the fit's effective number of degrees of freedom. Those of all sets follow each
-    other, then those of given distances between points.
+    Their sum is the fit's effective number of degrees of freedom, if no pose has the weight zero:
+    its redundancy is 1. Those of all sets follow each other, then those of given distances.
 
     v : the optimum, shape (size,)
     """

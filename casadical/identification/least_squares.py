@@ -149,7 +149,7 @@ class LeastSquares:
 
     @cached_property
     def residual_count(self) -> int:
-        """Number of residuals (scalars) of all sets."""
+        """Number of residuals (scalars) of all poses with a weight, and of given distances."""
         return sum(m.residuals for m in self.sets)
 
     @property

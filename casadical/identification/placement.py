@@ -3,7 +3,7 @@
 The priors, one sigma each: the tool may differ from the file by 0.1 m, the base by a rotation of
 0.3 rad and a shift of 100 m. The errors of a model that is not calibrated yet are about 3 mm and
 not independent between poses: more than 30 poses give no more information than 30. Directions that
-the readings determine are freed of these priors in the end.
+the measurements determine are freed of these priors in the end.
 """
 
 from collections.abc import Sequence
@@ -205,11 +205,11 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
     R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
     M (9 numbers), M p_B and t: solved by least squares, M projected to a rotation, then refined by
     Kabsch's method and t in turns. With several tools, base and tool are placed by the one that was
-    measured most, then the others given the base. Where the poses
-    determine the base's rotation or the tool badly (lines, one orientation, few poses), the robot
-    file is a prior; likewise with distances to given points. Other kinds place the tool alone
-    (`_by_unknown_places`). Robots whose base is given or is row 1 of the table, and with too few
-    measurements, are returned unchanged. Source: Kabsch (1976) for the rotation.
+    measured most, then the others given the base. Where the poses determine the base's rotation or
+    the tool badly (lines, one orientation, few poses), the robot file is a prior; likewise with
+    distances to given points. Other kinds place the tool alone (`_by_unknown_places`). Robots whose
+    base is given or is row 1 of the table, and with too few measurements, are returned unchanged.
+    Source: Kabsch (1976) for the rotation.
     """
     sets = (m,) if isinstance(m, Measurements) else tuple(m)
     m = next((part for part in sets if part.position is not None), sets[0])

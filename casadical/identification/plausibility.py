@@ -247,9 +247,10 @@ def frame_error(robot: Robot, m: Measurements) -> float:
 
 
 def orientation_error(robot: Robot, m: Measurements) -> float:
-    """Return the median angle [rad] of measured to computed orientations, at MAX_POSES_COMPARED.
+    """Return the median angle [rad] between measured and computed orientations over the poses.
 
-    Base and tool are rotated to fit where their orientation is unknown (`unknown` = "pose").
+    At most MAX_POSES_COMPARED are compared. Base and tool are rotated to fit where their
+    orientation is unknown (`unknown` = "pose").
     """
     assert m.orientation is not None
     some = m[np.linspace(0, len(m) - 1, min(len(m), MAX_POSES_COMPARED)).astype(int)]

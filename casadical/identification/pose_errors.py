@@ -81,7 +81,7 @@ class PoseErrors:
     row : row of each pose in the source file, shape (n,)
     q : joint variables, shape (n, joints) [rad or m]
     position : measured in the measuring frame, shape (n, 3) [m], or None
-    models : in order of reading
+    models : in the order of the legend
     source : the file; left_out : poses of it that are outliers and in no figure of the set
     """
 

@@ -16,6 +16,8 @@ from casadical.robot.robot import Robot
 def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
     """Yield what sets of these kinds cannot determine, each as the end of "these data cannot ...".
 
+    Of sets with positions only sessions without a common pose are judged.
+
     where : "set number/point name" -> unknown point, as of `Identification.unknown_points`, shape
         (3,) [m]
     """
@@ -58,7 +60,7 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
 def undetermined_at_start(robot: Robot, sets: Sequence[Measurements]) -> Iterator[str]:
     """Yield what these sets cannot determine, before an identification; see `undetermined`.
 
-    Unknown points are where the robot, with base and tool placed, has them.
+    Unknown points are estimated from the positions of the robot, whose base and tool are placed.
     """
     problem = LeastSquares(robot, tuple(sets), (), "linear", False, ((1.0, 1.0),) * len(sets))
     yield from undetermined(sets, dict(zip(problem.labels, problem.points, strict=True)))

@@ -93,6 +93,7 @@ def _target_names(words: Sequence[set[str]]) -> list[str]:
 
 
 def _numbered(count: int) -> list[str]:
+    """Return the names target1, target2 and so on of that many targets."""
     return [f"target{k}" for k in range(1, count + 1)]
 
 

@@ -282,7 +282,7 @@ class Columns:
 
         rows : name of a target -> lines of the file, from 1, at which it was measured; others get
             none
-        Raises InputError: a row is listed twice.
+        Raises InputError: a row is listed under two names.
         """
         names: dict[int, str] = {}
         for name, listed in rows.items():
@@ -346,6 +346,7 @@ class Columns:
         return self._values(name)
 
     def _values(self, name: str) -> Array:
+        """Return a column's cells as numbers, shape (n,) [its own unit], NaN if they are none."""
         read = in_seconds if name == "time_s" else signs_of if name.startswith("approach") else numbers_of
         return read(self.table[name])
 
@@ -397,6 +398,7 @@ class Columns:
             raise FaultsError(faults)
 
     def _empty(self, name: str) -> Fault:
+        """Return the fault of a column without any cell."""
         return Fault(self.source, (), name, "", "is empty", "", "each of its rows needs a number")
 
     def si(self, stem: str, units: Sequence[str]) -> Array:

@@ -186,7 +186,7 @@ def _memory(q: Array, travel: float) -> Array:
     It approaches the direction of each motion exponentially, and begins at zero, because the
     motion before the first pose is unknown.
 
-    q : readings of the joint in the order of measuring, shape (n,) [rad or m]
+    q : the joint's variable in the order of measuring, shape (n,) [rad or m]
     travel : path over which the distance from the direction falls to 1/e [rad or m]
     """
     state, states = 0.0, []
@@ -201,14 +201,14 @@ def _play(q: Array, half: float) -> Array:
 
     The part stands still until the joint takes it along; at the first pose the play is centred.
 
-    q : readings of the joint in the order of measuring, shape (n,) [rad or m]
+    q : the joint's variable in the order of measuring, shape (n,) [rad or m]
     half : play to each side [rad or m]
     """
     taken = accumulate(q, lambda state, reading: float(np.clip(state, reading - half, reading + half)))
     return np.array([*taken])
 
 
-# Pattern of a joint's derived column -> function that computes it from the joint's readings in the
+# Pattern of a joint's derived column -> function that computes it from the joint's variable in the
 # order of measuring and, if its name has one, from the length there [rad or m]. Moves below 1e-9
 # are rounding of one reading, not motion.
 _JOINT_COLUMNS: Mapping[str, Callable[..., Array]] = {

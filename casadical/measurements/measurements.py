@@ -203,7 +203,7 @@ class Measurements(Shown):
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
-        """Return the poses as kind position alone. Raises InputError if no positions were measured."""
+        """Return the poses as kind position alone. Raises InputError: no positions are measured."""
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 

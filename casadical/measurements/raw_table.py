@@ -363,7 +363,7 @@ def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
 
 
 def _made_unique(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return headings of which three or more occur equally often, with "2 " before second ones
+    """Return headings of which three or more occur equally often, with "2 " before second ones.
 
     Several targets side by side may all be headed X, Y, Z; other repeated headings stay.
     """

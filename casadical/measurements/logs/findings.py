@@ -14,7 +14,7 @@ from casadical.core.parts import Arm
 from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.logs.log import JointLog
 
-# Factor between angles given in degrees and in radians.
+# Number of degrees in a radian, the ratio of angles in degrees to the same ones in radians.
 DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
 # Length of a time step from which on it is a gap with lost samples, as a multiple of the median
 # step.

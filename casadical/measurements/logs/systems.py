@@ -284,8 +284,8 @@ def _of_stream(stream: _Stream, path: Path) -> Logged:
 def joined(logs: Sequence[Logged]) -> Logged:
     """Return several streams as one log, at the times of the first, with the others' last values.
 
-    Rows before another stream begins are dropped; times start at the first row. Raises InputError
-    if the streams do not overlap.
+    Rows before another stream begins are dropped; times count from the first one's start. Raises
+    InputError if the streams do not overlap.
     """
     first, *others = logs
     start = first.time[0]
