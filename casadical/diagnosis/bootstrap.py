@@ -35,7 +35,7 @@ class Group:
 def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> float:
     """Return the p-value of no cause: how often pure noise has odds of a cause as high as the data.
 
-    It is a fraction of the draws, 0 to 1; the data count as one more draw.
+    It is a fraction of the draws, above 0 to 1; the data count as one more draw.
     ranking : that of the data, without a cause in the model
     draws : number of draws of noise; show : called with a line of progress
     """
@@ -93,8 +93,7 @@ def _groups(case: Case, white: Array) -> list[Group]:
     """Return for each variant of each candidate its columns, prior and Gram matrix's eigenpairs.
 
     The prior of a candidate is divided equally among its variants.
-    white : columns of all candidates, whitened and orthogonal to the base model, shape (rows,
-        columns)
+    white : all columns, whitened and orthogonal to the base model, shape (rows, columns)
     """
     weights = prior_weights(case, PRIOR_FIRST, frozenset())
     groups = []
@@ -112,7 +111,8 @@ def log_likelihoods(
 ) -> tuple[Array, Array]:
     """Return the log likelihoods of each draw without a cause and with any, shapes (draws,).
 
-    They are summed over the grids of the noise and of the causes' sizes.
+    They are summed over the grid of the noise, the latter also over the groups and sizes of causes,
+    weighted by their priors (the former without the prior of no cause).
     E : columns of all candidates, whitened and orthogonal to the base model, shape (rows, columns)
     Y : draws, treated likewise, shape (rows, draws); sigma : grid of the noise, shape (sigmas,) [m]
     log_norm : term that does not depend on sigma or cause

@@ -64,7 +64,7 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
     """Return the candidates of a choice of effects, without those that the robot has already.
 
     effects : "standard", "extended", or names, labels, own effects and their classes
-    Raises InputError for no effect, one of joint logs, and where the robot has all of them already.
+    Raises InputError for a name that is no effect, effects of joint logs, and if the robot has all.
     """
     chosen = [effects] if isinstance(effects, str) else list(effects)
     own_ones = [Candidate(e.label, e.name, e.joint, ((e,),)) for e in chosen if isinstance(e, Effect)]
@@ -92,8 +92,8 @@ def choose(
 ) -> tuple[tuple[Candidate, ...], dict[str, tuple[str, ...]]]:
     """Return the candidates whose columns were logged, and the missing columns of the others.
 
-    Missing columns are given by label. Variants that replace others where a column is missing are
-    excluded if it was logged (`Effect.only_without`).
+    Missing columns are given by label of a listed candidate. Variants that replace others where a
+    column is missing are excluded if it was logged (`Effect.only_without`).
     loads : function that returns the joint loads of the robot, see `derive`
     Raises InputError where columns are missing for every listed candidate.
     """

@@ -1,8 +1,8 @@
 """Detection of changed effects: an earlier campaign's prior against that of a new effect.
 
 Both evidences are those of the linear model, integrated over the grid of the noise. An effect in
-parts (a curve of each joint) is tested part by part; the prior of a changed part is dropped, and
-the others are tested again given this.
+parts (a curve of each joint) is tested part by part; the prior of a changed part is widened about
+zero (see `_parts`), and the others are tested again given this.
 """
 
 from dataclasses import replace
@@ -22,9 +22,9 @@ from casadical.measurements.measurements import Noise
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
-    """Return each effect's or part's probability of change, and the prior without changed ones.
+    """Return the probability of change of each effect or part, and the prior, widened if changed.
 
-    Parts with a probability of at least `Settings.min_change` count as changed.
+    Parts with a probability of at least `Settings.min_change` count as changed (see `_parts`).
     case : case whose linear model does not contain the prior yet
     prior : prior from an earlier campaign
     """
@@ -52,8 +52,8 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
 def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:
     """Return the prior sigma [SI] of each part's parameters, by name, if the part has changed.
 
-    It is the larger of the typical size and the earlier value. Keys are (label of the effect, joint
-    or None).
+    It is the larger of the typical size and the earlier value's magnitude, about mean zero. Keys
+    are (label of the effect, joint or None); effects that the prior does not name are omitted.
     """
     sizes: dict[tuple[str, int | None], dict[str, float]] = {}
     for effect in case.given.effects:
@@ -72,8 +72,8 @@ def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, f
 def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     """Return the log marginal likelihood of the residual under a prior, up to a constant.
 
-    It is summed over the grid of the noise. As in `Evidence`, prior standard deviations are
-    proportional to the noise.
+    It is summed over the grid of sigma at the ratio of joint repeatability of the fit. As in
+    `Evidence`, prior standard deviations are proportional to the noise.
     fit : fit of the base model; sigma : noise of that fit [m]
     """
     mean, widths, covariances = case.prior_parts(prior)

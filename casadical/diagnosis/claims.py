@@ -17,9 +17,9 @@ from casadical.measurements.measurements import Noise
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
     """Return the state with only the causes that may be claimed, and why the search ended.
 
-    A cause is certain if its probability against every alternative and none reaches
-    `Settings.min_claim` and the gap on held-out poses shrinks with it. A cause with two or three
-    labels that the data do not distinguish is certain if they reach the same probability together.
+    A cause is certain if its probability given that there is one reaches `Settings.min_claim`, that
+    of none is small, and the gap on held-out poses shrinks with it. A cause with two or three
+    labels that the data do not distinguish is certain as of `_is_certain`.
     One detected cause that is not certain remains, as the first one, if it has more evidence than
     each certain one and, together with the causes that cannot be distinguished from it, at
     least the probability `Settings.min_doubtful`. All others that are not certain are removed.
@@ -143,7 +143,7 @@ def with_additional_cause(found: CauseSet | None, state: State, seed: int) -> Ca
     """Return the set with the labels of one additional cause, if a listed one is detected.
 
     They are the most probable listed labels that no cause has, and are probable together (see
-    `Settings.min_doubtful`); else the set is returned unchanged.
+    `Settings.min_doubtful`); else the set is returned unchanged, None if it is.
     """
     last = state.rankings[-1]
     named_labels = {k for step in state.steps for k in step.labels}

@@ -166,7 +166,7 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
     """Return the labels of a cause that the data cannot distinguish from its own.
 
-    If the step has none, they are the other listed labels above `Settings.min_ambiguous`.
+    If the step has none, they are the next listed labels above `Settings.min_ambiguous`.
     listed : labels of listed effects, the most probable first
     """
     probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > SETTINGS.min_ambiguous)
@@ -179,7 +179,8 @@ def parameter_values(
     """Return value, standard error and unit [SI] of the effects' parameters by effect and name.
 
     columns : indices of the columns of all causes, which are fitted together, shape (k,)
-    Effects with a `summary` in place of their parameters are excluded.
+    Effects with a `summary` in place of their parameters are excluded, and parameters of
+    instruments that are not in use.
     """
     value, error = fit_of(case.judged, columns, noise).causes
     parameters = {}
@@ -189,7 +190,6 @@ def parameter_values(
         if effect.from_kind:
             seen = np.any(case.whole.take(case.columns[effect]), axis=(0, 1))
         for place, size, there, (name, (_, unit)) in zip(places, sizes, seen, effect.sizes().items(), strict=True):
-            # Parameters of an instrument that is not in use are omitted.
             if there:
                 parameters[effect, name] = float(value[place] * size), float(error[place] * size), unit
     return parameters
@@ -209,7 +209,7 @@ def _outliers_as_cause(
 ) -> tuple[Array, tuple[Cause, ...]]:
     """Return the errors of all poses, outliers included [m], and the outliers as a cause.
 
-    Without outliers, and for a single one that is not far out, they are `before` and no cause.
+    Without outliers, or with one below twice `Settings.outlier_distance`: `before` and no cause.
     before : held-out errors of the inliers, shape (n_inliers,) [m]
     error, distance : as returned by `errors_and_distances`, shape (n,)
     """

@@ -92,7 +92,7 @@ def partitions(e: Evidence, seed: int) -> list[Array]:
     """Return random partitions, each the fold of every pose, shape (n,).
 
     There are `Settings.partitions` of them, and one from 400 poses on. Where several targets share
-    stops, each stop is a fold: a fifth of few stops is too many to predict from the others.
+    stops there is one, whose folds are the stops: a fifth of few stops is too many to predict.
     """
     n = len(e.r)
     if e.stop is not None:
@@ -137,7 +137,7 @@ def errors_and_distances(e: Evidence, columns: Array, noise: Noise, inliers: Arr
 def random_folds(n: int, seed: int, alike: Array | None = None, stop: Array | None = None) -> Array:
     """Return the index of a random fold for each of n poses, shape (n,).
 
-    There are `Settings.folds` folds, whose sizes differ by at most one.
+    There are `Settings.folds` folds; their numbers of poses (or stops) differ by at most one.
     alike : index of the unknown point of each pose, shape (n,); poses with the same point are
         distributed over the folds
     stop : index of the stop of each pose; poses of one stop are in one fold

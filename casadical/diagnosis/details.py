@@ -31,8 +31,7 @@ class Details:
     curves : joint error curves, see `joint_curves`
     laws : expressions of an unlisted effect, see `laws_of_diagnosis`; computed if the verdict is
         unknown, or on request
-    poses : next poses to measure, see `next_poses`; file : name of the file to which they are
-        written; empty if none
+    poses : next poses to measure, see `next_poses`; file : name of the file that has them, or empty
     floor : mean held-out error by noise alone under the best model of the report [m]
     ruled_out : labels of causes that are ruled out, by multiple of their usual size (see
         `isolability.ruled_out`)

@@ -65,8 +65,7 @@ def diagnose(
 
     robot : nominal model with the compliances that it should have, which is calibrated on the
         campaign first; or robot, measurements and prior together, as `prepare` returns them; or an
-        identification, whose own measurements are diagnosed unless others of the same robot are
-        given
+        identification, whose own measurements are diagnosed unless others of its robot are given
     m : one set of any kind, or several sets of the same robot, each with its own noise; an unknown
         tool rotation is free where orientations were measured; orientations that contradict the
         model are ignored
@@ -78,13 +77,12 @@ def diagnose(
         with their values and covariance as a prior; changes since then are detected first
         (`Diagnosis.changes`). Or a prior of `carry_over`, with its robot
     masses : "candidate": wrong declared link masses are a cause that may be named; "nuisance": they
-        are free in the base model within the robot's `body_width` and never named, as undeclared
-        masses always are
+        are free in the base model within the robot's `body_width`, never named, like undeclared
     laws : whether the causes must hold against the best expression of an unlisted effect (about 1 s
         for 100 poses); if the expression wins, the verdict is unknown
     show : called with a line of progress
     Returns verdict, causes and gap; more expensive results are computed on request.
-    Raises InputError: where the measurements cannot carry a diagnosis.
+    Raises InputError: where the measurements cannot carry a diagnosis or arguments contradict.
 
     Examples
     --------
@@ -115,10 +113,10 @@ class _Question:
 
     @cached_property
     def base(self) -> Identification:
-        """Return the calibrated base model, fitted robustly; outliers are screened later.
+        """Return the calibrated base model, the given identification or a robust fit.
 
         Orientations that do not fit the robot (of another convention, for example) are ignored,
-        because they would distort the base model.
+        because they would distort the base model. Outliers are screened later.
         """
         given = self.prepared
         if given.identification:
@@ -137,7 +135,8 @@ class _Question:
     def candidates(self) -> Sequence[Candidate]:
         """Return the candidate causes.
 
-        With several sessions, a step of the base or instrument between them is one, too.
+        With the list "standard" and several sessions that share a base, a step of the base or
+        instrument between them is one, too.
         """
         given, effects = self.base.given, self.effects
         self.show("signatures of the candidates")
@@ -165,7 +164,7 @@ class _Question:
         The search ends when a noisy joint is the most probable cause. Causes are then searched with
         this joint's larger repeatability error in the noise, under which their probabilities hold.
         The remaining error is evaluated without it: an unlisted effect at that joint may cause it,
-        so that the verdict remains unknown.
+        so that the verdict remains unknown. Where a random lag is likely, see `lagging`.
         """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
@@ -248,8 +247,8 @@ class _Question:
         """Return the diagnosis with a sentence where its cause at joint 1 hangs on the level.
 
         The weight turns an upright axis only as far as it leans in the frame of an instrument that is
-        taken as level. Where the cause is less probable than `Settings.min_claim` if the robot
-        stands upright instead, the sentence says so. The poses are turned for that, not the model.
+        taken as level. Where the cause is not the most probable or below `Settings.min_claim` if
+        the robot stands upright instead, the sentence says so. For that the poses are turned.
         """
         case = found.case
         causes = [c for c in found.causes if c.joint == 1 and c.effects and c.confidence >= SETTINGS.min_claim]
@@ -339,7 +338,8 @@ def _compared_with_laws(found: Diagnosis) -> Diagnosis:
 def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:
     """Return sentences on assumptions about orientations, noise, stops and fixed parameters.
 
-    They concern campaigns with other measurements than one set of positions.
+    All but those on ignored orientations are for other measurements than one set of positions.
+    found : base model with the sets that it used; given : the sets before, in the same order
     """
     said = [
         f"{m.source}: its orientations do not fit the robot and are not used; check their convention and frame"
@@ -374,8 +374,8 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
 def _turn_to_upright(robot: Robot, m: Measurements) -> Array | None:
     """Return the rotation that makes the axis of a leaning joint 1 vertical, shape (3, 3); or None.
 
-    None unless the robot file declares gravity along the measuring frame's z, and this axis leans by
-    0.2 to 3 degrees: the base of an arm that leans more is no upright one.
+    None unless the robot file declares gravity along the measuring frame's z, joint 1 is revolute
+    and its axis leans by 0.2 to 3 degrees: the base of an arm that leans more is no upright one.
     robot : calibrated; m : its poses
     """
     if robot.gravity_frame != "measuring" or robot.joints[0].kind != "revolute" or np.any(robot.gravity[:2]):

@@ -81,8 +81,7 @@ class Evidence(LinearModel):
     Jq : Jacobian by the joint variables, shape (n, 3, joints) [m per rad or m]
     noise_prior : prior information on the noise
     sigmas : grid of the instrument's standard deviation [m]
-    size : factors from the residuals' units to the reported error, shape (n, 3), zero for angles;
-        None: one
+    size : factors from residuals to the reported error, (n, 3), zero for angles; None: ones
     stop : index of the robot's stop at which each pose was measured, shape (n,), where several
         targets were measured at one; None where each pose has a stop of its own
     alike : index of the unknown points at which each pose was measured, shape (n,); None without
@@ -157,9 +156,9 @@ class Evidence(LinearModel):
     def at_other_ratios(self) -> tuple[tuple[float, Evidence], ...]:
         """Return (log weight, model) at the outer Gauss-Hermite nodes of uncertain noise ratios.
 
-        The log of a small table's noise ratio has a normal density about its assumed value, whose
-        standard deviation is the relative error of a sigma estimated from the table alone. The
-        weights undo this density, so that `averaged` is the integral of the likelihood over it.
+        The nodes are those of a normal density of the log of a small table's noise ratio about its
+        assumed value, with the relative error of a sigma estimated from the table alone. Weights
+        are divided by it: `averaged` integrates the likelihood under a flat prior. () without any.
         """
         more = []
         for mask in self.unsure:
@@ -167,7 +166,7 @@ class Evidence(LinearModel):
             spread = 1 / np.sqrt(2 * max(numbers * (1 - self.absorbed / max(self.count, 1)), 1.0))
             for aside in (-(3**0.5), 3**0.5):  # outer nodes, each of weight 1/6
                 log_times, log_weight = float(aside * spread), float(np.log(1 / 6) + 1.5)
-                weight = np.where(mask, 1 / float(np.exp(log_times)), 1.0)  # the table's noise is larger
+                weight = np.where(mask, 1 / float(np.exp(log_times)), 1.0)
                 E = serial_columns(self.E, np.arange(len(self.r)), SerialNoise(np.zeros(len(self.r)), weight))
                 r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
                 more.append((log_weight - numbers * log_times, replace(self, r=r, J=J, Jq=Jq, E=E, unsure=())))
@@ -197,8 +196,7 @@ class Evidence(LinearModel):
 
         Its shape is (groups, rhos, sigmas, kappas); the noise prior is included.
         groups : indices of the columns of each group
-        also : columns of causes that are in the model already; they are marginalised like the base
-            model
+        also : columns of causes that are in the model already, marginalised like the base model
         """
         own = marginals_of(self).log_grids(groups, NO_COLUMNS if also is None else also)
         return self.averaged(own, (other.log_grids(groups, also) for _, other in self.at_other_ratios))
@@ -216,8 +214,7 @@ class BaseParameters:
     J : Jacobian of the measured numbers by the parameters, shape (n, 3, P)
     delta0 : prior mean minus present value of the parameters, shape (P,) [SI]
     prior : prior standard deviation of the parameters, shape (P,) [SI]
-    units : parameters = units @ combinations, shape (P, k); each combination has the prior standard
-        deviation one
+    units : parameters = units @ combinations of prior standard deviation one, shape (P, k)
     still : directions of the parameters that change no measured number and are excluded, shape (P,
         P - k); their posterior is their prior
     """
@@ -290,8 +287,8 @@ def log_noise_prior(e: Evidence, Jq: Array) -> Array:
     A declared sigma or data sheet concerns the instrument alone; the standard deviation over
     repeated poses that of the instrument and the joints together. Data sheets of robots state a
     repeatability of 0.01 to 0.1 mm at the tool (ISO 9283, mean plus three standard deviations of
-    the distance): the joints' part of a coordinate has a half-normal prior, of which 0.1 mm is two
-    standard deviations.
+    the distance): the joints' part of a coordinate has a half-normal prior, of which
+    `MAX_REPEATABILITY_M`, that of 0.1 mm, is two standard deviations.
     Jq : Jacobian by the joint variables, shape (n, 3, joints)
     """
     scatter, freedom = e.noise_prior.repeats, e.noise_prior.freedom

@@ -43,8 +43,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     Their names are: gap; errors (held out, pose by pose); workspace; where/TABLE with the names of
     `Localisation`; curves/angles; causes/STEP; shrink (if a cause was found); parameters/lengths,
     /angles, /compliance; fit/residuals, /coverage, /pairs.
-    more : result of `analyse`, for the figures where/ and curves/ and the networks in the figure
-        gap
+    more : result of `analyse`, for the figures where/ and curves/ and the networks in gap
     """
     more = more or Details()
     floor = floor_of(d, more)

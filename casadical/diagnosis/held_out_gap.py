@@ -53,13 +53,12 @@ def course(
     model : "base", or "+ label" of the added cause
     gap_mm : mean held-out position error over partitions into fifths; low_mm, high_mm : its 95 %
         interval by bootstrap over poses
-    loo_mm : the same by leave-one-out
+    loo_mm : the same by leave-one-out, of stops where several targets share them
     blocks_mm : the same with contiguous fifths of the campaign held out, which tests the prediction
         of effects of time and temperature
     model_mm : rms held-out error after subtraction of the noise's mean square, as a noiseless
         instrument would read; model_low_mm, model_high_mm : its 95 % interval
-    stages : (model, indices of the columns of all causes in the model, shape (k,), noise of the
-        fit)
+    stages : (model, indices of the columns of its causes, shape (k,), noise assumed by its fit)
     folds : partitions into folds, shape (n_inliers,) each; noise : noise that is subtracted
     """
     e = case.evidence
@@ -176,7 +175,7 @@ def network_gap(
 ) -> NetworkGap:
     """Return the mean held-out errors without and with the paper's 6-5-3 network, in fifths.
 
-    Networks are trained on four fifths of the inliers each; their inputs are joint readings only.
+    Networks are trained on four fifths of the inliers each; their inputs are joint variables only.
     columns : indices of the causes' columns, shape (k,); they are refitted to each four fifths
     noise : noise of these fits; seed : seed of the fifths and of the training
     trainer : name of one of `trainers_by_name`, or a trainer with its settings

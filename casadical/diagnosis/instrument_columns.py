@@ -87,8 +87,7 @@ def camera_displacements(p: Array, R: Array) -> Mapping[str, Array]:
     optical axis (depth), and across it multiplied by the squared slope (radial). A fixed camera has
     its lens at the measuring frame's origin; a carried one has it at the tool frame's origin and
     sees the measuring frame's origin.
-    p, R : measured position and orientation of the tool in the measuring frame, shapes (n, 3) [m]
-        and (n, 3, 3)
+    p, R : tool's measured position and orientation, measuring frame, (n, 3) [m] and (n, 3, 3)
     """
     seen = {"fixed": (p, np.tile(np.eye(3), (len(p), 1, 1))), "carried": (-np.einsum("nji,nj->ni", R, p), -R)}
     images: dict[str, Array] = {}

@@ -67,7 +67,7 @@ class Isolability(Result):
 
     @cached_property
     def alike(self) -> pd.DataFrame:
-        """Fraction, 0 to 1, of the energy of each candidate's (row) visible signal in another's (column) span."""
+        """Return the fraction of a candidate's visible energy (row) in another's span (column)."""
         return self.compare(None)
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
@@ -127,10 +127,9 @@ def isolability(
 
     Measured positions are not used.
     robot : nominal robot; or a diagnosis, whose candidates are evaluated at its own poses,
-        calibrated geometry and noise
+        calibrated geometry and noise, whatever the other arguments
     m : poses, measured or planned; None for a diagnosis; effects : see `diagnose`
-    noise : expected noise; by default that of a laser tracker, 0.02 mm, and of joints that repeat to
-        8 urad
+    noise : expected noise; default: 0.02 mm (laser tracker) and joints that repeat to 8 urad
     whole : whether an effect counts as one cause in all its joints together instead of joint by
         joint
     Raises InputError: a name that is no effect, or where poses are missing.
@@ -244,7 +243,7 @@ def _alike(
 ) -> pd.DataFrame:
     """Return the fraction of a candidate's visible energy (row) in another's span (column).
 
-    It is the mean over the candidate's settings and the maximum over the other's.
+    It is the mean over the candidate's settings and the maximum over the other's; empty for none.
     rho : ratio of joint repeatability to the instrument's sigma [rad/m]
     columns : indices of the columns of each setting; owner : label of each setting
     labels : of the candidates that are compared; None: all

@@ -69,8 +69,7 @@ class JointCurves:
     def rows(self) -> list[tuple[str, str, str]]:
         """Return (joint, rms [urad], part of log evidence [%]) as texts, the largest part first.
 
-        For a curve that is not significant the rms is an upper bound: two standard errors above
-        its rms.
+        Of a curve that is not significant the text is "<" and its rms plus two standard errors.
         """
         rows = []
         for c in sorted(self.joints, key=lambda c: -c.share):

@@ -89,8 +89,7 @@ def diagnosis_files(
 
     Keys are the paths.
     folder : folder of the files; more : result of `analyse`; name : name of the campaign
-    unlisted : whether the robot's model includes the description of the unlisted cause, if there is
-        one
+    unlisted : whether the robot's model includes the description of an unlisted cause, if any
     tables : how tables of the campaign are interpreted, as of `DataTable.interpretation`
     Raises ConvergenceError: Ipopt finds no optimum of the refit.
     """

@@ -45,8 +45,7 @@ class Case:
     inliers : mask of the inlier poses among all n poses, shape (n,)
     columns : indices of each effect's columns in the linear model, by effect
     observations : residuals and Jacobians of the measurement sets
-    free : labels of effects of the given robot that are free in the base model, with their own
-        priors
+    free : labels of the given robot's effects that are free in the base model, by their own priors
     prior : prior of parameters from another campaign
     units : base parameters = units @ independent ones, shape (P, P), where this prior correlates
         them; None without such a prior
@@ -100,8 +99,7 @@ class Case:
     def vectors(self) -> Array | None:
         """Return measured minus modelled positions of the inlier poses, shape (n_inliers, 3) [m].
 
-        They are in the measuring frame; None unless the campaign is one set with positions (not
-        with covariances).
+        They are in the measuring frame; None unless it is one set with positions (no covariances).
         """
         several = len(self.observations.sets) > 1 or self.m.position is None or self.m.kind == PositionCovariance.name
         return None if several else self.evidence.r[:, :3]
@@ -110,8 +108,7 @@ class Case:
     def lengths(self) -> Array:
         """Return the length residuals of the inlier poses, shape (n_inliers, numbers) [m].
 
-        Angular residuals are zero; lengths are in their own unit again instead of scaled to equal
-        noise.
+        Angular residuals are zero; lengths are not scaled to equal noise, unlike in the model.
         """
         e = self.evidence
         return e.r if e.size is None else np.asarray(e.r * e.size)
@@ -164,8 +161,7 @@ class Case:
         """Return the displacement of each pose by its last motion, shape (n, numbers) [m].
 
         Readings that lag behind the joints displace a pose by a random share of it. None if the
-        order of the poses is unknown, if a row depends on two poses, and if the lag is in the noise
-        already.
+        order of poses is unknown, a row depends on two poses, or the lag is in the noise already.
         """
         m, missing = derive(self.m, names := [f"move{j}" for j in self.robot.numbers])
         if missing or not self.one_end or self.whole.Jq.shape[2] > self.robot.n:
@@ -297,7 +293,8 @@ class Case:
         """Return the case and the effect with other prior sizes of the effect's parts.
 
         factors : factor on the prior size of each part
-        noise : noise at which the priors hold from now on
+        noise : noise at which the priors hold from now on; only the points of `RHO_GRID` next to
+            its ratio are evaluated
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
@@ -326,10 +323,11 @@ class Case:
         return self.whole.E.sizes[columns]
 
     def with_events(self, count: int, claimed: Collection[str]) -> Case:
-        """Return the case in which each kind of event (slip, jump) has some further candidates.
+        """Return the case in which each kind of event (slip, jump) has enough candidates.
 
         What slipped once may slip again: a later event has the columns of the first.
-        count : least number of these candidates; claimed : labels of the causes in the model
+        count : least number of a kind's candidates (by joint) that are not in the model
+        claimed : labels of the causes in the model
         """
         case, first = self, [c for c in self.candidates if getattr(c.variants[0][0], "event", 0) == 1]
         for c in first:
@@ -385,10 +383,10 @@ class Case:
 
 
 def _changed_rows(case: Case, other: Case) -> Array:
-    """Return the indices of the inlier poses whose prewhitened rows differ between two cases.
+    """Return the indices of the poses whose prewhitened rows differ between two cases, shape (k,).
 
-    They are the inliers of `case`, in the order of measuring, that have another predecessor in
-    `other` or are no inliers there.
+    Indices count the inliers of `case` in the order of measuring; the poses are those that have
+    another predecessor in `other` or are no inliers there.
     """
     others = set(map(tuple, other._successions.tolist()))
     return np.array(
@@ -435,8 +433,8 @@ def _problem(
 ) -> tuple[Array, Evidence, BaseParameters]:
     """Return the mask of poses without gross errors (n,), the linear model and its base parameters.
 
-    The priors hold at the usual noise of a laser tracker if only positions were measured, else at
-    the robust standard deviation of the base model's residuals.
+    The priors hold at 20 um, the usual noise of a laser tracker, for a single set of positions,
+    else at the robust standard deviation of the base model's residuals.
     """
     robot, r, numbers = identification.given, seen.r, np.maximum(seen.measured.sum(axis=1), 1)
     delta0 = robot.parameters.values - values
@@ -482,10 +480,10 @@ def _problem(
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:
-    """Return masks (n, numbers) for `Evidence.unsure`: small tables without a declared sigma.
+    """Return `Evidence.unsure`, at most two masks (n, numbers) of small tables without a sigma.
 
-    The lengths and the angles of a set are a table each. Where no table declares its sigma, the
-    largest one is the reference and excluded.
+    The lengths and the angles of a set are a table each; small ones have less than 100 numbers, but
+    a tenth of all. If no table declares its sigma, the largest is the reference and excluded.
     """
     masks, declared = [], False
     for m, poses, places in zip(seen.sets, seen.layout.poses, seen.layout.places, strict=True):
@@ -508,8 +506,8 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
 def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     """Return the noise of each set estimated from a fit with causes; None if it hardly changes.
 
+    Declared sigmas are unchanged; for a single set of positions the result is None.
     columns : indices of the causes' columns, shape (k,); noise : assumed by the fit
-    Declared sigmas are unchanged.
     """
     seen = case.observations
     if seen.plain:

@@ -47,7 +47,7 @@ class Linearisation:
     robot : calibrated base model, without the candidate effects
     model : derivative functions of the robot's structure, for any pose
     phi : parameters of the robot, shape (P,) [SI]
-    q : joint readings of the poses, shape (n, joints) [rad or m]
+    q : joint variables of the poses, shape (n, joints) [rad or m]
     conditions : logged and derived columns by name, shape (n,) each
     J : Jacobian of the measured position by the base model's parameters, shape (n, 3, P)
     S : Jacobian of the measured position by all seam variables, shape (n, 3, seams)

@@ -318,8 +318,7 @@ class Localisation:
     regions : columns by, part, poses (their number), share (of the squared error), low, high,
         rms_mm (of the distance), rms_low_mm, rms_high_mm, for the poses in each third of the
         values of a joint's reading, of radius and of height
-    payload, temperature, time : the same by these; approach : by the direction from which a joint
-        approached
+    payload, temperature, time : the same by these; approach : by joint and direction of approach
     """
 
     joints: pd.DataFrame

@@ -168,8 +168,7 @@ def next_poses(
     the columns to be logged, including those of the campaign's own kinds of measurement.
     found : a diagnosis, or the case of one; n : number of poses to choose
     labels : labels of the causes to distinguish; "none" for no cause at all; by default those that
-        the diagnosis has in question (`Diagnosis.in_question`), with an empty table if there are
-        none
+        the diagnosis has in question (`Diagnosis.in_question`); an empty table if it has none
     seed : seed of the drawn poses
     against : other labels from which each of these is to be distinguished as well, but not from each
         other; by default "none", and with the default labels the most probable other cause

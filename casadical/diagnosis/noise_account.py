@@ -33,15 +33,13 @@ class Rule(StrEnum):
 class NoiseAccount:
     """The noise that a diagnosis assumed and its independent references, for one coordinate.
 
-    total : standard deviation estimated by the fit [m], instrument and joints together
+    total : standard deviation of a coordinate by the diagnosis [m], instrument and joints together
     sigma : that of the instrument alone [m]; repeatability : joint repeatability [rad]
     declared : declared sigma of the instrument [m], zero if none
     sheet : largest error by the data sheet [m], zero if none
-    repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom; zero if
-        none
+    repeats : standard deviation over repeated poses [m]; freedom : its degrees; zero if none
     rules : source that determines how large the noise is
-    excess : root of the difference of the squares of `total` and of that source's figure [m]; zero
-        where they agree
+    excess : root of `total` squared minus that source's figure squared [m]; 0 where they agree
     form : label of the form of noise if it is not white; else empty
     structures : dependences found in the residual
     like_noise : whether the residual otherwise has Gaussian tails and is isotropic
@@ -161,9 +159,9 @@ class NoiseAccount:
 
 
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, likely_form: str = "") -> NoiseAccount:
-    """Return the account of the noise that a fit with some causes leaves.
+    """Return the account of the noise that remains with some causes in the model.
 
-    columns : indices of the causes' columns, shape (k,); noise : that estimated by the fit
+    columns : indices of the causes' columns, shape (k,); noise : most likely with these causes
     repeated : standard deviation over repeated poses
     likely_form : label of the form of noise that is more probable than white noise, or empty
     """
@@ -216,7 +214,7 @@ def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:
     """Return why what is taken as noise may contain an effect, in words; empty without a reason.
 
     A form of noise that only the fit knows may be an effect that was not tried. Noise that repeated
-    poses or a declaration confirm is in doubt only where it depends on something.
+    poses or a declaration confirm is in doubt only where it exceeds them or depends on a driver.
     lever : see `NoisePrior`; form : label of the form of noise, empty for white noise
     """
     if found.is_structure:
@@ -238,9 +236,9 @@ def _by_statement(case: Case, noise: Noise, remainder: Remainder) -> tuple[bool,
     """Return whether the noise exceeds its declaration or data sheet, the source, and its figure.
 
     The figure is the standard deviation of a coordinate [m] by the source that determines the size
-    of the noise. The declaration is overruled only if the residual is like noise in every other
-    way: equal in all directions, with Gaussian tails, and independent of every driver. Otherwise
-    the model is wrong. Less noise than a data sheet's limit is consistent with it.
+    of the noise. A statement that is exceeded is overruled only if the residual is like noise in
+    every other way: equal in all directions, with Gaussian tails, and independent of every driver;
+    else the model is wrong. Less noise overrules a declared sigma, but not a data sheet's limit.
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
     # A declared sigma is the instrument's; at most 15 urad of joint repeatability are added to it.

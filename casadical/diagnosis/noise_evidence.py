@@ -50,7 +50,7 @@ class Form:
         """Return the Jacobian by the joints' repeatability errors in prewhitened rows.
 
         Jq : that in the measured numbers, in the order of measuring, shape (n, 3, joints), as the
-            result
+            result, which has one column more for `lags`
         """
         if self.ar_coefficient:
             both = np.sqrt((1 + self.ar_coefficient**2) / (1 - self.ar_coefficient**2))

@@ -41,7 +41,8 @@ def replicates(
 ) -> Replicates:
     """Return the standard deviation of residuals over repeated inlier poses.
 
-    Poses are repeated if readings, payload, logged approach, tool, session and target are equal.
+    Poses are repeated if joint variables, rounded to 1e-3 rad or m, and payload, logged approach,
+    tool, session and target are equal.
     r : residuals, shape (n, 3) [m]; inliers : mask of the inlier poses, shape (n,)
     apart : index of the target of each pose, shape (n,), if there are several
     measured : mask of the numbers that were measured, shape (n, 3); all by default
@@ -53,8 +54,8 @@ def replicates(
         if re.fullmatch(r"payload_kg|approach\d+|(tool|session)_.*", name)
     ]
     circumstances += [] if apart is None else [apart]
-    # Readings that are equal after rounding to 1e-3 rad or m are one pose. Residuals are compared,
-    # so that the small modelled difference between such poses does not count as scatter.
+    # Residuals are compared, so that the small modelled difference between poses that are equal
+    # after rounding does not count as scatter.
     key = np.column_stack([np.round(m.q / 1e-3), *circumstances])[inliers]
     _, group, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
@@ -73,8 +74,7 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
     """Return the mean held-out error of simulated pure noise, by a fit of the base model [m].
 
     e : linear model, at whose poses the noise is simulated; noise : that estimated by the fit
-    anchor : standard deviation of a coordinate to which the noise is scaled [m]; 0 to use it
-        unchanged
+    anchor : standard deviation of a coordinate to which the noise is scaled [m]; 0: unchanged
     """
     if anchor:
         scale = anchor / scatter_of_coordinate(e, noise)
@@ -90,9 +90,9 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
 
 
 def outlier_probability(distance: Array) -> float:
-    """Return the probability that at least one of the poses is an outlier.
+    """Return the probability, 0 to 1, that at least one of the poses is an outlier.
 
-    A pose is one with a prior probability of 1 %; its noise is then larger by one of
+    The prior probability of each pose is 1 %; the noise of an outlier is larger by one of
     `OUTLIER_NOISE_FACTORS`.
     distance : squared Mahalanobis distances of the poses, of three coordinates each, shape (k,)
     """

@@ -41,6 +41,8 @@ UNEQUAL_AXES = "noise that is unequal along x, y and z"
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
     """Return the ranking with other forms of noise among its candidates, renormalised.
 
+    Under autocorrelated noise only its `noise_form` is set; given causes, it is returned unchanged
+    where "no additional cause" has a probability above 0.9.
     chosen : indices of the columns of causes that are in the model already
     joints : joints (1-based) of these causes, whose poor repeatability counts as "no additional
         cause": it is the remaining error of their equations
@@ -72,7 +74,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
 def noisy_joint(case: Case, ranking: Ranking) -> int | None:
     """Return the joint (1-based) whose poor repeatability is a ranking's most probable cause.
 
-    None if another cause is, or no cause is detected.
+    None if another one is, or if "none" exceeds `Settings.max_p_nothing_further`.
     """
     labels = {noisy_joint_label(j): j for j in case.robot.numbers}
     return labels.get(ranking.order[0]) if ranking.none <= SETTINGS.max_p_nothing_further else None
@@ -86,10 +88,10 @@ def noisy_joint_label(joint: int) -> str:
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
     """Return each form of noise as a rival, with its log evidence over white noise.
 
-    The evidence is averaged over the form's settings; each of the five kinds has a fifth of the
-    prior.
+    The evidence is averaged over a form's settings; each of five kinds has a fifth of the prior.
     chosen : indices of the columns of causes in the model
-    of_instrument : whether autocorrelated and heavy-tailed noise of the instrument is included
+    of_instrument : whether autocorrelated and heavy-tailed noise of the instrument is included;
+        unequal axes, a random lag and noisy joints are included in any case, where they apply
     """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
@@ -134,8 +136,9 @@ def lag_forms(case: Case) -> list[Form]:
 
 
 def likely_lag(case: Case, ranking: Ranking, chosen: Array) -> float | None:
-    """Return the share of `LAG_SHARES` of a random lag, if it is a ranking's most probable cause.
+    """Return the most likely of `LAG_SHARES`, if a random lag is a ranking's most probable cause.
 
+    None if another one is, or if "none" exceeds `Settings.max_p_nothing_further`.
     chosen : indices of the columns of causes in the model
     """
     if ranking.order[0] != RANDOM_LAG or ranking.none > SETTINGS.max_p_nothing_further:
@@ -192,7 +195,7 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
 def unequal_form(problem: Problem) -> Form | None:
     """Return a form of noise whose size along x, y and z is that of the residual.
 
-    None unless a pose has three numbers. The two ratios cost half a log of the poses each.
+    None unless a pose has three numbers. The two ratios together cost the log of the pose count.
     """
     n, times = len(problem.e.r), np.ones(3)
     if problem.e.r.shape[1] != 3:

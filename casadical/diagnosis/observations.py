@@ -1,12 +1,12 @@
 """Residuals and Jacobians of measurement sets of any kind, by each kind's own residual.
 
-All rows that were read at one stop of the robot (see `Stops`) form one pose with as many numbers:
+All rows that were read at one stop of the robot (see `Stops`) form one pose with all their numbers:
 they share the joint repeatability error, as the coordinates of a position do, but not the
-instruments' noise. Every pose has as many numbers as the one with the most; numbers that were not
-measured are zero. They are scaled so that the noise of all sets is equal to that of a length of the
-first set: an angle of a full pose is multiplied by the ratio of the two sigmas, a set's lengths by
-the ratio of the sets' sigmas. An unknown point, which poses share, is three more parameters of the
-base model.
+instruments' noise. Arrays have as many numbers a pose as the pose with the most; numbers that were
+not measured are zero. They are scaled so that the noise of all sets is equal to that of a length of
+the first set: an angle of a full pose is multiplied by the ratio of the two sigmas, a set's lengths
+by the ratio of the sets' sigmas. An unknown point, which poses share, is three more parameters of
+the base model.
 """
 
 from __future__ import annotations
@@ -89,10 +89,10 @@ class Observations:
     mean : prior mean of these points minus their estimate, in the same units, shape (3 points,)
     measured : mask of the numbers that were measured, shape (n, numbers)
     size : factors from r to the reported error, zero for angles, shape (n, numbers)
-    alike : index of the unknown points at which each pose was measured; None without such points
-    apart : index of the target of each pose, for the comparison of repeated poses, shape (n,)
-    Jq : Jacobian by the joint variables through which joint repeatability acts, shape (n, numbers,
-        joints)
+    alike : index of the unknown points at which each pose was measured, equal for equal points,
+        shape (n,); None without such points
+    apart : index of the targets of each pose, for the comparison of repeated poses, shape (n,)
+    Jq : Jacobian by the joint variables, for joint repeatability, shape (n, numbers, joints)
     """
 
     m: Measurements
@@ -123,8 +123,8 @@ class Observations:
 def combined_table(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
     """Return one table with a row for each stop and the logged columns that every set has.
 
-    Conditions that the robot's model needs take the declared value where a set lacks them. With
-    several sets the table's positions are zeros, not measurements.
+    A single set keeps all that it has. Of several, conditions that the robot's model needs take the
+    declared value where a set lacks them, and the positions are zeros, not measurements.
     """
     if len(sets) == 1:
         return sets[0] if len(stops.rows) == len(sets[0]) else sets[0][stops.rows]
@@ -145,7 +145,7 @@ def combined_table(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> 
 def stops_in(sets: Sequence[Measurements]) -> Stops:
     """Return the stops at which the rows of the sets were read, in the order of their first rows.
 
-    Rows at equal readings and circumstances belong to one stop, unless a row at other readings lies
+    Rows at equal joint variables and circumstances belong to one stop, unless a row at others lies
     between them by the logged time, else by the logged pose number. Two measurements of the same
     target are two stops, and so is each distance between two poses; in a single set with one target
     each row is a stop of its own.
@@ -380,14 +380,13 @@ def _equal_rows_before(keys: Array) -> Array:
 class _SetObservations(NamedTuple):
     """Residuals and Jacobians of one measurement set, scaled to equal noise of all sets.
 
-    r : measured minus modelled numbers, shape (rows, numbers)
-    J, S, U : Jacobians of the modelled numbers by base parameters, seam variables of all ends, and
-        the unknown point, shapes (rows, numbers, P), (rows, numbers, seams), (rows, numbers, 3 or
-        0)
+    r : measured minus modelled numbers, times the root of a row's weight, shape (rows, numbers)
+    J, S, U : Jacobians of the modelled numbers, scaled alike, by base parameters, seam variables of
+        all ends and unknown point, shapes (rows, numbers, P or seams or 3); U: 0 without a point
     seen : at each end, the quantities that effects depend on, shape (rows, quantities)
-    q : at each end, the joint readings, shape (rows, joints) [rad or m]
+    q : at each end, the joint variables, shape (rows, joints) [rad or m]
     measured : mask of the numbers of rows with positive weight, shape (rows, numbers)
-    size : factors from r to the reported error, zero for angles, shape (rows, numbers)
+    size : factors from scaled to own lengths [m], zero for angles, shape (rows, numbers)
     point : index of each row's unknown point, -1 without one, shape (rows,)
     ends : number of poses that a measurement involves, one or two
     """

@@ -20,7 +20,7 @@ from casadical.identification.figures import correlated, parameter_tables, unide
 def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replayed: Sequence[Block] = ()) -> Page:
     """Return the HTML page of the diagnosis of one campaign.
 
-    name : name of the campaign; more : result of `analyse`
+    name : name of the campaign; more : result of `analyse`, None for the diagnosis alone
     replayed : blocks on a replay in a simulator
     """
     more = more or Details()
@@ -152,7 +152,7 @@ def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
 
 
 def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Block]:
-    """Yield statements and table of the next poses; nothing if they were not computed."""
+    """Yield statements and table of the next poses, or that none are needed; nothing for None."""
     if poses is None:
         return
     yield from _said(said, "NEXT")

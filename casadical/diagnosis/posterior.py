@@ -112,8 +112,7 @@ def rank(
 
     chosen : indices of the columns of causes that are in the model already
     skip : labels of these causes, which are no longer candidates
-    covered : labels of candidates that a cause in the model includes; these are no candidates
-        either
+    covered : labels of candidates that a cause in the model includes, which are no longer any
     """
     judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
     grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
@@ -142,8 +141,9 @@ def prior_weights(
 
     The prior of listed effects is divided equally among the effects, and that of each effect
     equally among its joints; an effect of the extended list has a quarter of the share of others.
-    The prior of unlisted effects is divided in the same way, a quarter among the rare effects and
-    the rest for the smooth forms named "unknown".
+    The prior of unlisted effects is divided in the same way, a quarter among the rare effects, if
+    any, and the rest for the smooth forms named "unknown". A candidate at the joint of a cause in
+    `skip` has `Settings.same_joint_prior_factor` times its share.
     prior : one of PRIOR_FIRST and PRIOR_FURTHER; skip, covered : see `rank`
     """
     open_ = [c for c in case.candidates if c.label not in skip | covered]

@@ -26,8 +26,7 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     base model calibrated on all poses, whichever are used: loads on a joint are unobservable while
     its compliance is zero, and the optimum does not depend on the start.
     effects : effects whose parameters are free and whose settings (knee, lag, cycles) are fixed
-    use : mask over the inlier poses of those from which it is identified, shape (n_inliers,); None:
-        all
+    use : mask over the inlier poses of those that are used, shape (n_inliers,); None: all
     """
     sets = refit_measurements(case, effects, noise)
     sets = sets if use is None else selected_rows(sets, use[case.rows])

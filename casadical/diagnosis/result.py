@@ -38,12 +38,12 @@ Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean distance [m] between measured and computed positions on held-out poses.
+    """Mean reported error [m] on held-out poses: distance of measured from computed positions.
 
     before : that of the base model, outliers included if they are named as a cause, else
         `without_outliers`
     after : that of the model with the causes, on the inlier poses
-    floor : that of simulated noise alone under the same fit
+    floor : that of simulated noise alone under a fit of the base model, at most `after`
     without_outliers : that of the base model on the inlier poses, over the same partitions into fifths
     """
 
@@ -67,7 +67,10 @@ class Outlier:
 
 
 def settings_of(effect: Effect) -> dict[str, float]:
-    """Return the settings of an effect that are floats (cycles, knee, time of a step), by name."""
+    """Return the settings of an effect that are floats (cycles, knee, time of a step), by name.
+
+    Settings that are only tried in addition (metadata `tried`) are omitted while they are zero.
+    """
     own = [f for f in fields(effect) if not f.metadata.get("tried") or getattr(effect, f.name)]
     return {f.name: value for f in own if isinstance(value := getattr(effect, f.name), float)}
 
@@ -77,14 +80,13 @@ class Cause:
     """One cause.
 
     effect : name of the effect; joint : its joint, 1-based; None if it belongs to none
-    confidence : its posterior probability
-    shrink : fraction, up to 1, by which the held-out gap falls when the cause alone is added to the
-        base model
+    confidence : its posterior probability, halved where its joint also repeats poorly
+    shrink : fraction, up to 1, by which the held-out gap falls with this cause alone in the model
     shrink_interval : 95 % interval of `shrink`
-    indistinguishable : labels (name or name@joint) of causes that the data cannot distinguish from
-        it
+    indistinguishable : labels (name or name@joint) that the data do not distinguish from its own
     effects : its effects with their most likely settings
-    estimates : (value, standard error, unit) [SI] by name of the parameter
+    estimates : (value, standard error, unit) [SI] by name of the parameter, "@joint" appended for a
+        cause of several joints; None for outliers
 
     Examples
     --------
@@ -136,8 +138,7 @@ class CauseSet:
     untried : probability that an effect that was not tried takes part (see `Settings.untried`)
     one_more : that of an additional cause given the set
     members : that of each cause, by label, summed over these sets
-    others : labels of the most probable other sets, unlisted forms included, and the probability of
-        each
+    others : (labels, probability) of the most probable other sets, unlisted forms included
     names : by the label of a cause with indistinguishable alternatives: the probability of each
         label
     further : by listed label of one additional cause that is detected but not claimed: the
@@ -180,8 +181,7 @@ class Change:
 class Unlisted:
     """Forms that describe an unlisted cause without naming it (see `describe_unlisted`).
 
-    labels : labels of the forms, which may include listed effects; effects : their effects in the
-        model
+    labels : labels of the forms, which may include listed effects; effects : theirs in the model
     before, after : mean held-out error with the named causes, and with these forms in addition [m]
     shrink, shrink_interval : fraction by which it falls, and its 95 % interval
     further : ranking of an additional cause given the named causes and these forms
@@ -211,8 +211,7 @@ class Diagnosis(Result):
     causes : named causes, the largest shrink first
     gap : held-out error before and after the causes
     noise : estimated noise of instrument and joint repeatability
-    account : size of the noise against declaration, data sheet and repeated poses, and its
-        structure
+    account : size and structure of the noise against declaration, data sheet and repeated poses
     unknown_rest : (gap.after - gap.floor) / gap.before, at least 0: the fraction of the gap that
         neither named causes nor noise explain
     course : held-out error as causes are added (see `held_out_gap.course`)
@@ -342,7 +341,7 @@ class Diagnosis(Result):
 
     @cached_property
     def _refit_of_all(self) -> Identification:
-        """The refit with all named causes, which a report and the files of a diagnosis have in common."""
+        """Return the refit with all named causes, cached for the report and the result files."""
         from casadical.diagnosis.refit import refit
 
         return refit(self.case, self.effects(), self.noise)
@@ -374,8 +373,7 @@ class Diagnosis(Result):
 
     @property
     def has_rest(self) -> bool:
-        """Return whether the unexplained error above the noise floor is large enough to report."""
-        # It is reported from 5 % of the gap on.
+        """Return whether error above the noise floor is unexplained: above 5 % of the gap."""
         return self.verdict != "none" and self.unknown_rest > 0.05
 
     @cached_property
@@ -392,7 +390,7 @@ class Diagnosis(Result):
     def residual(self) -> Array:
         """Return the inliers' residuals of a fit with the causes, shape (n_inliers, numbers) [m].
 
-        Lengths and angles are scaled to equal noise.
+        Lengths and angles are scaled to equal noise. Without causes it is the base model's.
         """
         inliers = self.case.inliers
         if not self.columns.size:

@@ -76,8 +76,7 @@ class Seams:
         and by the seam variables, and the quantities that effects depend on: measured point,
         gravity torques, gravity and frames
     exact : context of the model's own expressions; free : the same, with the symbols `seen` in it
-    inputs : symbols q, w, phi and constants; seen : symbols of the quantities that effects depend
-        on
+    inputs : symbols q, w, phi and constants; seen : of the quantities that effects depend on
     point : symbols of the measured point among these, in the measuring frame [m]
     """
 
@@ -123,7 +122,7 @@ def over_poses(f: ca.Function, q: Array, w: Array, shared: Sequence[Array], *dat
     """Return each output of a function of one pose at all n poses, shape (n, rows, columns) each.
 
     f : function of q, w, parameters, constants and data
-    q, w, data : joint readings, conditions and additional inputs, shape (n, numbers) each
+    q, w, data : joint variables, conditions and additional inputs, shape (n, numbers) each
     shared : parameters and constants, equal at all poses
     """
     parts = []
@@ -154,7 +153,7 @@ def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bo
     ends: list[tuple[ca.SX, ca.SX]] = []
 
     def at(q: Symbolic) -> tuple[Symbolic, Symbolic]:
-        """Return position (3,) [m] and rotation (3, 3) in the measuring frame at joint readings.
+        """Return position (3,) [m] and rotation (3, 3) in the measuring frame at joint variables.
 
         Each call is an end of the measurement and gets seam variables of its own.
         """

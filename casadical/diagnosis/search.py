@@ -51,8 +51,7 @@ class State:
     case : case with the present inliers
     steps : causes in the model, in the order in which they were added
     rankings : posterior over the next cause in each round
-    doubted : labels of causes that are in the model so that others can be ranked given them, but
-        that are not named
+    doubted : labels of causes in the model, for others to be ranked given them, but not named
     """
 
     case: Case
@@ -77,7 +76,7 @@ class State:
     def twins(self, label: str) -> frozenset[str]:
         """Return the labels of all smooth unlisted forms at the joint of a listed cause.
 
-        They describe an error of that joint without the cause's equation.
+        They describe an error of that joint without the cause's equation; none without a joint.
         """
         joint = self.by_label[label].joint
         same = (c for c in self.case.candidates if joint and c.name == "unknown" and c.variants[0][0].joint == joint)
@@ -163,7 +162,7 @@ class State:
     def log_gain(self) -> float:
         """Return the log evidence of all causes in the model together over none [nats].
 
-        Each was ranked given those before it.
+        It is the sum of their log factors, each from the ranking that its step has.
         """
         return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
 
@@ -266,8 +265,9 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     """Return the result of `search` under the form of noise that is most probable given its causes.
 
     Autocorrelated noise is fitted given the causes of each search, and causes are searched again
-    under it, until neither changes. Autocorrelated noise that is fitted before any cause would
-    absorb the causes. The arguments are those of `search`.
+    under it, until neither changes or `Settings.max_form_searches` times. Fitted before any cause,
+    it would absorb the causes. For other measurements than one set of positions noise is white. The
+    arguments are those of `search`.
     """
     state, end, p_nothing = search(case, seed, bootstrap, show)
     if not case.observations.plain:

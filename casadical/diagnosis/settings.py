@@ -8,10 +8,11 @@ class Settings:
     """Thresholds of the search for causes and of its verdict; probabilities unless said otherwise.
 
     A value without a study is one that several places share.
-    max_p_nothing : a first cause is detected if the probability of "nothing" is below this, at any
-        number of poses, because the noise is that of restricted likelihood. Of 30,000 draws of pure
-        noise at 15 to 200 poses (docs/studies/false_alarms.py with seeds 178), 0.4 % are below, 0.2
-        to 0.6 % at each number of poses; the study is older than the prior on joint repeatability.
+    max_p_nothing : a first cause is detected if the probability of "nothing" is at most this, at
+        any number of poses, because the noise is that of restricted likelihood. Of 30,000 draws of
+        pure noise at 15 to 200 poses (docs/studies/false_alarms.py with seeds 178), 0.4 % are
+        below, 0.2 to 0.6 % at each number of poses; the study is older than the prior on joint
+        repeatability.
     max_p_nothing_further : the same for an additional cause, once one was found
     min_claim : a cause is claimed alone from this probability on; 98 of 100 claims are to be right
         on average, including campaigns with unlisted effects, and most have 0.99 and more
@@ -28,20 +29,20 @@ class Settings:
         residuals like noise; untried_in_doubt : the same where they are in doubt. Of campaigns of
         docs/studies/open_world.py (seeds "develop 2") 14 of 20 with an effect of foreign_effects.py
         and a listed one were in doubt, and 6 of 21 with a listed one alone
-    min_further : an additional cause is accepted from this probability on, given that there is one
+    min_further : an additional cause alone is accepted from this probability on, given there is one
     max_causes : largest number of causes of a diagnosis
     ambiguous_share : causes that the data cannot distinguish are counted until they reach this
         probability together, given that there is a cause
-    max_ambiguous : largest number of such causes; min_ambiguous : smallest probability of each
-    partitions : number of partitions of the poses into fifths over which held-out errors are
-        averaged
+    max_ambiguous : largest number of such causes; min_ambiguous : smallest probability of each,
+        given that there is a cause
+    partitions : number of partitions into fifths over which held-out errors are averaged
     min_explained : the causes are no explanation if they close a smaller fraction of the gap above
-        the noise floor and an additional cause is detected, or the unexplained fraction of the gap
-        exceeds max_unexplained
+        the noise floor and, besides, either an unlisted cause is detected or the unexplained
+        fraction of the gap exceeds max_unexplained
     max_flaw : log evidence of the best additional cause divided by that of the causes in the model,
-        up to which the remaining error may be a flaw
-        of a listed effect's equation: none was larger in 44 right claims of mismatched truth; loose
-        anchors and hoses leave 0.08 and 0.11 (seeds 77)
+        up to which the remaining error may be a flaw of a listed effect's equation: none was larger
+        in 44 right claims of mismatched truth; loose anchors and hoses leave 0.08 and 0.11 (seeds
+        77)
     max_hidden : what is taken as noise is in doubt only if an effect that may hide in it is at least
         this large compared with the named causes (root mean squares): half of them is the smallest
         effect given which a listed one must not be called an explanation
@@ -49,13 +50,11 @@ class Settings:
         them above which the causes are no explanation
     min_joint_log_evidence : log evidence [nats], given the others, by which a joint shows an
         effect of several joints; joints with less are removed from it
-    max_form_searches : number of times that causes are searched again under another form of
-        noise
+    max_form_searches : number of times that causes are searched again under other noise
     max_p_nothing_under_form : under autocorrelated noise a cause is detected only if "nothing"
         is less probable than this, because the form of such noise is uncertain
     min_set_log_gain : log evidence [nats] that each additional cause of a set must gain
-    min_change : probability of a change from which the earlier campaign's prior of a part is
-        dropped
+    min_change : probability of a change from which an earlier campaign's prior of a part widens
     min_doubtful : smallest probability at which a detected cause that is not certain (see
         `claims.named`) may remain, the sum over it and those that the data cannot distinguish from
         it; also that of the labels listed for a possible additional cause
@@ -69,8 +68,7 @@ class Settings:
     ar_coefficient_step : the best coefficient is refined by this step to both sides before
         causes are searched under it
     tail_share : prior probability that a pose's noise is larger, in the model of heavy tails
-    tail_noise_factor : factor on the noise of the poses in the tails, in the model of heavy
-        tails
+    tail_noise_factor : factor on the noise of the poses in the model's heavy tails
     noisy_joint_factor : repeatability error of a noisy joint divided by that of the other joints
     max_law_poses : largest number of poses, evenly taken from the campaign, on which laws (see
         `laws`) are searched: the time grows with it
@@ -87,8 +85,7 @@ class Settings:
     min_size_mm : effects with a smaller rms displacement [mm] do not act at all
     posterior_draws : number of draws from the posterior of the errors of the robot's parts (see
         `localisation`)
-    variance_draws : number of draws of each part's variance; each serves several draws from the
-        posterior
+    variance_draws : number of draws of each part's variance, each for several such draws
     unit_error : error that counts as one in the columns of these smooth errors [rad or m]
     near_threshold_odds_ratio : a probability is reported as just above or below the threshold
         of a decision if their odds differ by at most this factor
@@ -96,7 +93,7 @@ class Settings:
         right decision by this much
     max_structure_chance : largest probability by chance, among all tests, at which a dependence
         on a driver, or of outliers on a joint, is significant
-    max_joint_harmonic : harmonics of an angle that are tested together [cycles per turn]
+    max_joint_harmonic : highest harmonic of an angle that is tested [cycles per turn]
     """
 
     max_p_nothing: float = 0.1

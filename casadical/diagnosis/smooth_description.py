@@ -15,10 +15,11 @@ from casadical.effects import Effect
 
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
-    """Return the smooth forms that best describe the remaining error, with held-out errors.
+    """Return up to four forms that best describe the remaining error, with held-out errors.
 
-    None unless the verdict is unknown and the most probable form is unlisted.
-    Forms are added one by one; each is then compared again given the others.
+    None unless the verdict is unknown, an additional cause is detected and the most probable one is
+    unlisted. Forms, which may be listed effects, are added one by one while the next has a
+    probability above 0.5; each is then compared again given the others.
     """
     if found.verdict != "unknown":
         return None

@@ -84,7 +84,7 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
 
 
 def noise(d: Diagnosis) -> str:
-    """Return a phrase on the noise of a campaign without causes and the source that confirms it."""
+    """Return a phrase on a campaign's noise and the source that confirms it, else the doubt."""
     by_source = {
         Rule.REPEATS: ", as large as repeated poses say",
         Rule.DECLARED: ", as large as declared",
@@ -94,9 +94,9 @@ def noise(d: Diagnosis) -> str:
 
 
 def noise_hides_structure(d: Diagnosis) -> bool:
-    """Return whether the noise, as estimated, hides structure that exceeds the other error.
-    It does if it exceeds an independent figure of the noise, or if the structure in it is larger
-    than the error beyond the noise (rms of a coordinate).
+    """Return whether the estimated noise exceeds an independent figure or hides a large structure.
+
+    The structure is large if it exceeds the error beyond the noise (rms of a coordinate).
     """
     beyond = 1e-3 * noiseless_errors(d)[1] / np.sqrt(3)
     return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
@@ -116,7 +116,7 @@ def names_of(d: Diagnosis, label: str) -> str:
 
 
 def floor_of(d: Diagnosis, more: Details | None) -> float:
-    """Return the mean held-out error by noise alone under the best reported model [m]."""
+    """Return the mean held-out error by noise alone [m], of the report's best model if known."""
     return d.gap.floor if more is None or more.floor is None else more.floor
 
 
@@ -136,7 +136,7 @@ def readings_of(d: Diagnosis) -> str:
 
 
 def unlogged(d: Diagnosis) -> list[int]:
-    """Return the joints (1-based) whose direction of approach was not logged."""
+    """Return the joints (1-based) whose direction of approach the first set did not log."""
     logged = d.identification.measurements[0].conditions
     return [j for j in d.identification.given.numbers if f"approach{j}" not in logged]
 
@@ -220,9 +220,9 @@ def ambiguous_cycles(d: Diagnosis) -> Iterator[tuple[str, float, float, float]]:
 
 
 def resembles(d: Diagnosis) -> str:
-    """Return the label of the unlisted form that the remaining error resembles most; else "".
+    """Return the label of the unlisted form or noise that the remaining error resembles most.
 
-    There is none if a listed cause is the most probable, or the form's probability is below 0.5.
+    It is "" if a listed cause is the most probable, or the form's probability is below 0.5.
     """
     ranking, on_list = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
     best = ranking.order[0] if ranking.order else ""

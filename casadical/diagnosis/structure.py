@@ -52,8 +52,7 @@ class Structure:
     share : fraction of the squared whitened residual that it explains, 0 to 1; for neighbouring
         poses their correlation
     log_chance : natural log of the probability of so large a share in pure noise, among all tests
-    line : joint (1-based) and cycles per turn of a sine of its own angle along its motion; None for
-        other drivers
+    line : joint (1-based) and cycles per turn of a sine of its angle along its motion; else None
     """
 
     derived: ClassVar[tuple[Key, ...]] = (Key("log10_chance", lambda found: found.log_chance / log(10), digits=1),)
@@ -91,9 +90,9 @@ def shown_by(
 ) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
     """Return periodic joint errors (lines) in the residual of a fit, and the times of its jumps.
 
-    A line is a joint (1-based) and cycles per turn, with the significance of `remainder_of`. Times,
-    two at most, are those at which the instrument jumped, 0 to 1; every pose is tried.
-    The arguments are those of `remainder_of`.
+    A line is a joint (1-based) and cycles per turn. Times, two at most and 0 to 1 over the
+    campaign, are those of significant steps by an event (slip, jump) among the candidates; every
+    pose is tried. The arguments are those of `remainder_of`.
     """
     kinds = {c.label: c.variants[0][0] for c in case.candidates if getattr(c.variants[0][0], "event", 0) == 1}
     residual = _WhitenedResidual(case, columns, noise, form)
@@ -106,7 +105,8 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     A joint that errs at few places makes such outliers. For unrelated outliers the cosine between
     error and any direction is uniform from -1 to 1; the chances are combined by Fisher's sum of
     logarithms, with a Bonferroni correction over the joints. Typing errors in one coordinate each
-    are no such outliers, though a joint may move the tool along it.
+    are no such outliers, though a joint may move the tool along it. None for less than two outliers
+    or without positions (`Case.vectors`).
     columns : indices of the causes' columns, shape (k,)
     """
     out = ~case.inliers
@@ -285,12 +285,13 @@ class _WhitenedResidual:
 
     @property
     def _screened(self) -> int:
-        """Return the number of lines that the screening of `_cycles` dismisses."""
+        """Return the number of lines of all joints that `_cycles` screens."""
         return sum(len(self._line_steps(j)) for j in self.case.robot.numbers)
 
     def events(self, kinds: Mapping[str, Any]) -> tuple[float, ...]:
-        """Return the times of the two most significant steps that are a twentieth apart, in order.
+        """Return the times (0 to 1) of up to two significant steps, the most significant first.
 
+        They are at least 0.05 apart.
         kinds : events by label of their candidate. The sums over the poses behind each pose come
         from one pass: a step's columns are those of an event before all poses, cut off there.
         """
@@ -369,8 +370,7 @@ class _WhitenedResidual:
     def _explained(self, normal: Array, right: Array) -> Iterator[tuple[float, int]]:
         """Return the result of `_shares` from inner products of the columns.
 
-        normal, right : with each other and with the residual, shapes (groups, width, width) and
-            (groups, width)
+        normal, right : with each other and the residual, (groups, width, width), (groups, width)
         """
         scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         value, vector = np.linalg.eigh(normal / scale[:, :, None] / scale[:, None])
@@ -383,7 +383,8 @@ class _WhitenedResidual:
     def _neighbours(self) -> Iterator[Structure]:
         """Yield the correlation of residuals at neighbouring poses, its chance for a single test.
 
-        Neighbours are the nearest pose in joint space, the nearest point, and the previous pose.
+        Neighbours are the nearest pose in joint space, the previous pose and, for one set of
+        positions, the nearest point.
         """
         y = self.y.reshape(len(self.squares), -1)
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
@@ -426,7 +427,7 @@ class _WhitenedResidual:
     def _isotropic(self) -> bool:
         """Return whether the residual is equally large along all axes of every frame.
 
-        It is Mauchly's test of sphericity; True where there are no positions to test.
+        It is Mauchly's test of sphericity; True without positions and under autocorrelated noise.
         """
         n = len(self.squares)
         y = self.y.reshape(n, -1)[:, :3]
@@ -482,9 +483,10 @@ def about_vertical(p: Array) -> Array:
 
 
 def log_chance_of(share: float, width: int, freedom: float) -> float:
-    """Return the log probability that columns explain at least a fraction of pure noise's square.
+    """Return the natural log of the probability that columns explain a fraction of noise's square.
 
-    share : the fraction; width : number of columns; freedom : degrees of freedom of the noise
+    share : the fraction, or more of it; width : number of columns; freedom : degrees of freedom of
+        the noise; where these are not more than the columns, and without columns, the log is 0
     An odd number of columns counts as one more: the tail of the fraction's beta distribution is
     then a finite sum. It is summed in logarithms because scipy's tail underflows below 1e-308.
     """
@@ -499,7 +501,7 @@ def log_chance_of(share: float, width: int, freedom: float) -> float:
 def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:
     """Yield every driver's name and its functions (sines, ranks, signs), shape (n, functions).
 
-    m : poses in the order of measuring; p : measured points, shape (n, 3) [m]
+    m : poses in the order of measuring; p : predicted points, shape (n, 3) [m]
     """
     q, n = m.q, m.q.shape[1]
     for j in range(n):

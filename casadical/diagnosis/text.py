@@ -50,7 +50,7 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
 
 
 def _sized(d: Diagnosis) -> Iterator[Table]:
-    """Yield the table of the causes, each with its signature, label, parameters and shrink."""
+    """Yield the table of the causes: signature, label, parameters, posterior, gap and shrink."""
     rows = []
     for k, r in enumerate(cause_rows(d), 1):
         sizes = (
@@ -63,7 +63,7 @@ def _sized(d: Diagnosis) -> Iterator[Table]:
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
-    """Return the short answer as blocks, at most 25 lines of 100 columns.
+    """Return the short answer as blocks, meant to be about 25 lines of 100 columns.
 
     It has title, verdict, error before and after, causes, and the statements of `things_to_know`.
     """
@@ -88,7 +88,7 @@ def _errors(d: Diagnosis, more: Details | None) -> Table:
 
 
 def _causes(d: Diagnosis) -> Iterator[Table | Words]:
-    """Yield the table of the first six causes, and the number of further ones if there are any."""
+    """Yield a table of the first six causes and the number of further ones; nothing without any."""
     rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
     if rows:
         columns = ("cause", "probability", "reduction, 95 %", "what the data show")
@@ -98,9 +98,9 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
 
 
 def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
-    """Return the three most important statements, warnings first, and that on the noise.
+    """Return at most three statements of different topics, warnings first, and one on the noise.
 
-    every : all statements
+    every : all statements; topics are ordered as in `SUBJECTS`, which has all that may be chosen
     """
     of_each: dict[str, Statement] = {}
     for s in every:
@@ -119,7 +119,7 @@ def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
 
 
 def _short(text: str, length: int = 290) -> str:
-    """Return a text cut to `length` characters, if possible at the end of a clause."""
+    """Return a text, if longer than `length` cut below it (preferably after a clause) + " ..."."""
     if len(text) <= length:
         return text
     whole, part, _ = text[:length].rpartition("; ")
