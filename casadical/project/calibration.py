@@ -288,7 +288,7 @@ class Calibration(Result):
         return {name: kinds[names[0]] for name, names in error_groups(kinds).items()}
 
     def files(self, folder: str | Path) -> dict[Path, str | bytes]:
-        """Return path -> text of the files in a folder of results.
+        """Return path -> content of the files in a folder of results.
 
         They are result.json, by method the robot (also as URDF if it was one) and parameters,
         compensators, and hand-eye transforms where a camera measured poses.

@@ -37,7 +37,7 @@ MAX_MEDIAN_ERROR_OF_REACH = 0.02
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
     """Return the fit of the data as they are, and the best fit with at most one slip undone.
 
-    None without positions, unless these are distances that `slip_fit` takes. At most 150 poses,
+    None for kinds without positions, except distances that `slip_fit` takes. At most 150 poses,
     evenly spread, are fitted.
 
     robot : nominal robot
