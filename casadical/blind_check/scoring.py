@@ -87,6 +87,7 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
 
 
 def _plain(f: Estimate) -> dict[str, Any]:
+    """Return the fields of an estimate by name, rounded by `_short`."""
     return {k: _short(v) for k, v in f.__dict__.items()}
 
 

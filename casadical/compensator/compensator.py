@@ -209,8 +209,8 @@ class Compensator:
         folds : number of folds of the cross-validation, where `choose` is not given
         margin : number of its standard errors that the gain must exceed
         progress : as of `train_all`
-        Raises InputError: wrong shapes, values that are not finite, fewer than 10 poses, folds
-        beyond 2 to n, a negative margin, an unknown trainer.
+        Raises InputError: wrong shapes, values that are not finite, fewer than 10 poses, folds not
+        from 2 to n, a negative margin, an unknown trainer.
         """
         rows = joint_angles(q, layout.joints if layout else None)
         targets = residuals(residual_mm, len(rows), layout.outputs if layout else None)

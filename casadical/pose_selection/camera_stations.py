@@ -120,6 +120,7 @@ def camera_stations(
     tool = [k for k, name in enumerate(names) if name in ("tool_x", "tool_y", "tool_z")]
 
     def row(stations: int, C: Array) -> tuple[int, float, float]:
+        """Return a row of the forecast for a covariance C of the parameters in units of scale."""
         place, hand = float(np.sum(mean * C)), float(np.trace(C[np.ix_(tool, tool)]))
         return stations, 1e3 * float(np.sqrt(place)), float(np.sqrt(hand))
 
@@ -153,7 +154,7 @@ def simulated_stations(robot: Robot, view: View, sigma: float = 1e-3, seed: int 
     distances. Its noise is sigma [m] across the line of sight, three times as much along it, and 2
     mrad (0.7 mrad about it).
 
-    Raises InputError: too few poses see the board.
+    view : see `View`. Raises InputError: too few poses see the board.
     """
     from scipy.spatial.transform import Rotation
 

@@ -37,7 +37,7 @@ class Circumstances:
         directions
     repeats : number of measurements of each pose, in passes over all poses
     seconds : time per measurement [s]
-    warmup_K : assumed rise of the temperature during the campaign [K]
+    warmup_K : assumed rise of the temperature in the end, from 20 degC [K]
     warmup_minutes : time constant of the rise [min]
 
     Examples
@@ -118,7 +118,7 @@ def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: st
 def one_turn(robot: Robot) -> Robot:
     """Return the robot with limits of at most half a turn to either side of zero.
 
-    Only joints with a range of more than one turn are changed.
+    Only joints with a range above 2 pi [rad, or m if prismatic] are changed.
     """
     joints = (
         replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j

@@ -127,7 +127,7 @@ def prepare(
     candidates : joint variables to choose from, shape (N, joints) [rad or m]; None: drawn ones
     workspace, circumstances, measured, free, interest, task, noise, instrument, prior : as of
         `select_poses`
-    Raises InputError.
+    Raises InputError: unusable arguments, or fewer numbers than unknowns.
     """
     workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)

@@ -64,7 +64,7 @@ def travel(robot: Robot, q: Array) -> float:
 def short_tour(D: Array, before: Array | None = None) -> Array:
     """Return the indices of n poses in an order with a short path, shape (n,).
 
-    It is the shortest of the nearest-neighbour paths from up to twelve starts nearest to `before`.
+    It is the shortest of the nearest-neighbour paths from up to twelve starts of least `before`.
 
     D : distances between the poses, shape (n, n), in any unit
     before : distances from the pose before them, shape (n,); None: any start is as good
@@ -151,7 +151,7 @@ class Selection(DesignProblem, Shown):
         return self.m.q
 
     def ordered(self) -> Selection:
-        """Return the selection, its poses of equal pass, part and payload in short travel."""
+        """Return the selection; poses of equal pass, part and payload are in a short tour."""
         return replace(self, m=in_measuring_order(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
@@ -161,7 +161,7 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def jacobian(self) -> Array:
-        """Jacobian of the position by the p parameters, shape (n, 3, p) [mm per unit of scale].
+        """Return the Jacobian of positions by p parameters, (n, 3, p) [mm per unit of scale].
 
         Poses measured before are at its end.
         """
@@ -169,7 +169,7 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def _covariance(self) -> Array:
-        """Expected covariance of the p parameters in units of scale, shape (p, p).
+        """Return the expected covariance of the p parameters in units of scale, (p, p).
 
         With the noise covariance N of each pose it is H J'N J H, H = (J'J)^-1; with a prior of
         information P and a mean variance s^2 it is H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
@@ -190,17 +190,17 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def scale(self) -> Array:
-        """Scale of each parameter: the SI value of its unit in the solver, shape (p,)."""
+        """Return each parameter's scale, its unit in the solver, shape (p,) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     @property
     def covariance(self) -> Array:
-        """Expected covariance of the parameters, shape (p, p) [SI]."""
+        """Return the expected covariance of the parameters, shape (p, p) [SI]."""
         return np.asarray(self._covariance * np.outer(self.scale, self.scale))
 
     @property
     def standard_errors(self) -> Array:
-        """Expected standard errors of the parameters, shape (p,) [SI]."""
+        """Return the expected standard errors of the parameters, shape (p,) [SI]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def expected_error(self, m: Measurements | None = None) -> Array:
@@ -216,12 +216,12 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def accuracy(self) -> float:
-        """Expected position error of the calibrated robot, rms over the task [m]."""
+        """Return the expected position error of the calibrated robot, rms over the task [m]."""
         return float(np.sqrt(np.mean(self.expected_error() ** 2)))
 
     @cached_property
     def reading_error(self) -> float | None:
-        """Expected rms residual of positions measured over the task [m], their noise included.
+        """Return the expected rms residual of positions measured over the task, with noise [m].
 
         It is None for wires and sockets.
         """
@@ -232,7 +232,7 @@ class Selection(DesignProblem, Shown):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Table of expected standard errors in readable units (mm, deg), a row per parameter.
+        """Return a table of expected standard errors in readable units, a row per parameter.
 
         Parameters that would not be identified are listed with NaN and the reason.
         """

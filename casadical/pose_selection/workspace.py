@@ -42,7 +42,7 @@ class Box:
     high: Array
 
     def __post_init__(self) -> None:
-        """Refuse corners in the wrong order. Raises InputError."""
+        """Refuse corners of another shape or in the wrong order. Raises InputError."""
         if not (np.shape(self.low) == np.shape(self.high) == (3,) and (np.less(self.low, self.high)).all()):
             raise InputError(
                 f"box from {self.low} to {self.high} m; allowed: two corners (x, y, z), the first below the second"
@@ -120,7 +120,7 @@ class Workspace:
     """Which poses can be measured.
 
     lower, upper : limits of the joint variables, shape (joints,) [rad or m]; None: the robot's
-    margin : smallest margin of every four-bar, see `fourbar.margin`
+    margin : smallest allowed margin of a four-bar, see `fourbar.margin`
     floor : height in the measuring frame below which no origin of links 2 to n, nor the tool point,
         may lie [m]; None: any
     boxes : obstacles
@@ -255,7 +255,7 @@ class _Joint(TomlTable):
 
 
 class _Box(TomlTable):
-    """An obstacle in a workspace file."""
+    """An obstacle in a workspace file [m]; see `Box`."""
 
     low: Annotated[Triple, LENGTH]
     high: Annotated[Triple, LENGTH]
@@ -269,7 +269,7 @@ class _Box(TomlTable):
 
 
 class _Tracker(TomlTable):
-    """A laser tracker in a workspace file."""
+    """A laser tracker in a workspace file [m, rad]; see `Tracker`."""
 
     station: Annotated[Triple, LENGTH]
     towards: Annotated[Triple | None, LENGTH] = None
@@ -295,7 +295,7 @@ class _Tracker(TomlTable):
 
 
 class _Workspace(TomlTable):
-    """The schema of a workspace file."""
+    """The schema of a workspace file [m]; see `Workspace`."""
 
     casadical: Annotated[Literal[1], WHOLE_NUMBER]
     floor: Annotated[float | None, LENGTH] = None

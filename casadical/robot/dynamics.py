@@ -63,7 +63,7 @@ class Dynamics:
 
     @cached_property
     def payload(self) -> Array:
-        """Inertial parameters of the declared payload, shape (10,) [kg, kg m, kg m^2].
+        """Return the declared payload's inertial parameters, (10,) [kg, kg m, kg m^2].
 
         They are in the order of a link's in `names` and in the last link's frame, with inertias
         about its origin, for the last link's columns of the regressor; zero without a payload.
@@ -100,7 +100,7 @@ class Dynamics:
         return self._evaluated("torque", q, v, a, self.values if pi is None else pi, g)[0].T
 
     def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array) -> list[Array]:
-        """Return the one output of a function at N states, in a list, states side by side.
+        """Return [Y], (n, 11 n N), or [tau], (n, N), at N states, side by side, by `_mapped`.
 
         what : "regressor" or "torque"; q, v, a : shape (N, n) each; pi : empty for the regressor
         gravity : in the base frame, shape (3,) [m/s^2]
@@ -110,7 +110,7 @@ class Dynamics:
 
     @property
     def _couplings(self) -> Couplings:
-        """Coupling of each joint to others, None for a joint that moves by itself."""
+        """Return the coupling of each joint to others, None for one that moves by itself."""
         return tuple(joint.coupling for joint in self.robot.joints)
 
     @cached_property
@@ -129,7 +129,7 @@ class Dynamics:
 
     @cached_property
     def rotors(self) -> Array:
-        """Inertia of each drive's rotor seen at the joint, shape (n,) [kg m^2 or kg].
+        """Return the inertia of each rotor seen at its joint, shape (n,) [kg m^2 or kg].
 
         It is the declared one, or else a share of the links' inertia at the joint in mid range.
         """
@@ -146,7 +146,7 @@ class Dynamics:
 
     @cached_property
     def sigma(self) -> Array:
-        """Prior standard deviation of each coordinate of `at`, shape (11 n,) [1 or m].
+        """Return the prior standard deviation of each coordinate of `at`, (11 n,) [1 or m].
 
         It follows from whether inertias are declared, and from the robot's `body_width`.
         """
@@ -167,8 +167,8 @@ class Dynamics:
     def at(self, coordinates: Array) -> Array:
         """Return physical parameters pi, shape (11 n,) [SI], for any coordinates, shape (11 n,).
 
-        Zero gives `values`. The coordinates are ten for each link (see
-        `_deformed_numbers`), then the logarithm of each rotor inertia over its nominal value.
+        Zero gives `values`. The coordinates are ten for each link (see `_deformed_numbers`), then
+        the logarithm of each rotor inertia over its nominal value.
         """
         n = self.robot.n
         links = self._links(coordinates[: 10 * n])

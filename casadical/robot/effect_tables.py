@@ -36,7 +36,7 @@ REPRODUCIBLE_DIGITS = 6
 
 
 class Value(TomlTable):
-    """Value of a parameter of an effect, with its unit and standard error."""
+    """Value and standard error of a parameter of an effect, in its SI `unit`."""
 
     value: float
     unit: str
@@ -44,7 +44,7 @@ class Value(TomlTable):
 
 
 class EffectTable(TomlTable):
-    """One effect with its settings and values."""
+    """One effect with its joint (from 1; None: none or all), settings and values."""
 
     name: str = Field(min_length=1)
     joint: int | None = Field(default=None, ge=1)

@@ -95,7 +95,7 @@ class Model:
 
     @cached_property
     def shared(self) -> Expressions:
-        """Expressions of all robots of this structure."""
+        """Return the expressions of all robots of this structure, with loads at phi."""
         return expressions(self.structure, False)
 
     @property
@@ -105,27 +105,27 @@ class Model:
 
     @property
     def w(self) -> ca.SX:
-        """Symbol of the conditions (logged columns), shape (k,)."""
+        """Return the symbol of the conditions (logged columns), shape (k,) [own units]."""
         return self.shared.w
 
     @property
     def phi(self) -> ca.SX:
-        """Symbol of the parameters, shape (P,) [SI]."""
+        """Return the symbol of the parameters, shape (P,) [SI]."""
         return self.shared.phi
 
     @cached_property
     def p(self) -> ca.SX:
-        """Tool position in the measuring frame, shape (3,) [m]."""
+        """Return the expression of the tool position in the measuring frame, shape (3,) [m]."""
         return self._expression("p")
 
     @cached_property
     def R(self) -> ca.SX:
-        """Tool orientation in the measuring frame, shape (3, 3)."""
+        """Return the expression of the tool orientation in the measuring frame, shape (3, 3)."""
         return self._expression("R")
 
     @cached_property
     def margin(self) -> ca.SX:
-        """Margin of each four-bar (see `fourbar.margin`), shape (loops,)."""
+        """Return the expression of each four-bar's margin (see `fourbar.margin`), (loops,)."""
         return self._expression("margin")
 
     def _expression(self, name: str) -> ca.SX:

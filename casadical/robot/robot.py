@@ -119,7 +119,7 @@ class Knowledge:
 
     @cached_property
     def std_errors(self) -> dict[str, float]:
-        """Standard errors of the parameters that have a covariance, name -> value [SI]."""
+        """Return standard errors of the parameters with a covariance, name -> value [SI]."""
         return {
             name: float(np.sqrt(variance))
             for block in self.covariance
@@ -419,8 +419,8 @@ class Robot(Shown, Arm):
     def with_values(self, values: Mapping[str, float]) -> Robot:
         """Return a robot with other nominal values, by parameter name [SI].
 
-        Its `knowledge` and `remaining` are None. Values of the base move its nominal frame, whose
-        parameters are then zero again; so do rotations of the tool.
+        Its `knowledge` and `remaining` are None. Parameters of the base, and rotations of the tool,
+        move the nominal frame and are then zero again.
 
         Raises InputError: no such parameter, or a value of a joint that is not finite.
         """

@@ -47,7 +47,7 @@ def robot_from(
     """Return the robot that the tables of a robot file describe.
 
     data : content of the TOML file; source : its name in messages; effects : as of `read_robot`
-    folder : of the file, in which those lie that it names
+    folder : of the file, and of the NPZ file that it may name
     Raises InputError for a file that is no robot, or of a newer version.
     """
     version = data.get("casadical")

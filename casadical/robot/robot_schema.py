@@ -132,7 +132,7 @@ class ReadingsTable(TomlTable):
 
 
 class _Joint(ReadingsTable):
-    """A joint with its row in a file."""
+    """A joint with its row in a file [m, rad]; see `parts.Joint`."""
 
     alpha: Angle = 0.0
     a: Length = 0.0
@@ -204,7 +204,7 @@ class _Joint(ReadingsTable):
 
 
 class _Frame(TomlTable):
-    """A base or tool frame in a file."""
+    """A base or tool frame in a file, xyz [m] and rpy [rad], and what of it is unknown."""
 
     xyz: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
     rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
@@ -216,13 +216,13 @@ class _Frame(TomlTable):
 
 
 class ToolTable(_Frame):
-    """One of several [[tool]] tables."""
+    """One of several [[tool]] tables, with the name of the measured point."""
 
     name: Spelt = ""
 
 
 class _FourBar(TomlTable):
-    """A four-bar in a file."""
+    """A four-bar in a file [m, rad]; see `parts.FourBar`."""
 
     driven: int
     carrier: int
@@ -233,7 +233,7 @@ class _FourBar(TomlTable):
 
 
 class _Gravity(TomlTable):
-    """Gravity in a file."""
+    """Gravity in a file: its vector, and the frame of the vector."""
 
     frame: Literal["measuring", "base", "logged"] = "measuring"
     vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
@@ -259,7 +259,7 @@ class _Width(TomlTable):
 
 
 class _BodyWidth(TomlTable):
-    """Prior widths of masses and mass centres in a file."""
+    """Prior standard deviations of masses (share) and mass centres [m] in a file."""
 
     mass_share: float = Field(default=parts.BodyWidth().share, ge=0)
     com: Annotated[float, LENGTH, Field(ge=0)] = parts.BodyWidth().centre
@@ -281,12 +281,12 @@ class _Widths(TomlTable):
         return {group: replace(default, **given[group]) for group, default in parts.WIDTHS.items()}
 
     def bodies(self) -> parts.BodyWidth:
-        """Return the prior widths of masses and mass centres."""
+        """Return the prior standard deviations of masses and mass centres."""
         return parts.BodyWidth(self.body.mass_share, self.body.com)
 
 
 class RobotTables(TomlTable):
-    """What a robot file says of any robot, and problem.toml of a URDF, which has no place for it."""
+    """Tables of a robot file that problem.toml may have, too, as a URDF has no place for them."""
 
     masses: Literal["declared", "estimated"] = "declared"
     gravity: _Gravity = _Gravity()
@@ -314,7 +314,7 @@ class RobotTables(TomlTable):
 
 
 class RobotFile(RobotTables):
-    """The schema of a robot file."""
+    """The schema of a robot file; values are in SI units when it is read."""
 
     casadical: Annotated[Literal[1, 2], WHOLE_NUMBER]
     written_by: str = ""
@@ -420,7 +420,7 @@ def far_centre(robot: Robot) -> tuple[int, str] | None:
     """Return the first joint, from 1, whose mass centre is too far away, and how far in words.
 
     Too far from its frame's origin is more than twice the arm's reach plus 1 m, as for one in the
-    wrong unit. None is returned where no centre is.
+    wrong unit. None is returned where none is too far.
     """
     most = 2 * robot.reach + 1.0
     for i, joint in enumerate(robot.joints, 1):

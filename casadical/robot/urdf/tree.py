@@ -156,7 +156,7 @@ class Tree:
 
     @property
     def root(self) -> str:
-        """Name of the root link, which is no joint's child. Raises InputError for several."""
+        """Return the name of the link that is no joint's child. Raises InputError for several."""
         roots = [name for name in self.names if name not in self.above]
         if len(roots) > 1:
             raise InputError(
