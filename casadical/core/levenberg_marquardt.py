@@ -44,7 +44,7 @@ def levenberg_marquardt(
         better = now < cost
         converged |= (better & (cost - now < least_gain * (now + 1))) | ((least_gain >= 0) & (damping > 1e6))
         best = np.where(better[:, None], tried, best)
-        cost = np.minimum(now, cost)
+        cost = np.where(better, now, cost)  # a cost of NaN is none
         if converged.all():
             break
         damping = np.where(better, np.maximum(damping / 5, 1e-9), damping * 10)

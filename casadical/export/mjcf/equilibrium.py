@@ -74,8 +74,9 @@ class EngineModel:
         self.free = [k for k, n in enumerate(names) if n.startswith(loose) or n.endswith("_driven")]
         self.play = [k for k, n in enumerate(names) if n.endswith("_play")]
         self.stopped = [k for k, n in enumerate(names) if n.endswith("_bed")]
-        # Index of the drive whose direction of approach determines a joint's friction.
-        self.way = {k: i for i, j in enumerate(self.drives) for k, n in enumerate(names) if n.startswith(names[j])}
+        # Index of the drive whose direction of approach determines a joint's friction: all on its body.
+        bodies = self.m.jnt_bodyid.tolist()
+        self.way = {k: i for i, j in enumerate(self.drives) for k, body in enumerate(bodies) if body == bodies[j]}
         self.sprung = [k for k in range(self.m.njnt) if k not in (*self.free, *self.play)]
         self._loops = [names[k][6:] for k in self.free if names[k].startswith("rocker")]
         self._start: Array | None = None

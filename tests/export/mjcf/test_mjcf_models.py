@@ -148,6 +148,10 @@ def test_play_lies_on_the_flank_to_which_gravity_pushes() -> None:
     stage = replay(robot, m)
     assert np.sort(stage.apart)[-3] < 2e-6  # near the change of flank the model's edge is round, a stop's is sharp
     assert "joint3_play" in stage.export.text
+    rough = robot_of("kr210").with_effect(Backlash(3, 0.5, 0.002)).with_values({"backlash@3.half": 8e-5})
+    named = replace(rough, joints=tuple(replace(row, name=f"axis{i}") for i, row in enumerate(rough.joints)))
+    assert 'joint="axis2"' in mjcf(named).text
+    np.testing.assert_array_equal(positions(mjcf(named).text, m), positions(mjcf(rough).text, m))
 
 
 def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
