@@ -22,8 +22,8 @@ FIGURE_OF_UNIT = {
     "deg": ("angles", "Angles"),
     "urad/(N m)": ("compliance", "Joint compliance"),
 }
-# Maximum number of residuals (their quantiles), and of poses of a set whose readings are drawn, to
-# keep the page small.
+# Maximum number of residuals (their quantiles), and of poses of a set whose joint variables are
+# drawn, to keep the page small.
 MAX_POINTS_DRAWN = 600
 # Maximum number of correlated pairs that a sentence names.
 MAX_PAIRS_NAMED = 8
@@ -32,7 +32,7 @@ _RESIDUALS_CAPTION = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
 )
-# Caption of the figure of joint readings within their limits.
+# Caption of the figure of joint variables within their limits.
 _COVERAGE_CAPTION = "Where ticks are missing, the model was not tried. Without limits in the robot file, full turns."
 # Caption of the figure of pairs of correlated parameters.
 _PAIRS_CAPTION = (

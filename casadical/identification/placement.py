@@ -188,8 +188,8 @@ class PlacementProblem:
         return placed(best[0], float(cost[0]))
 
 
-# Maximum number of poses from which initial frames are computed, to save time. They are drawn at
-# random, because on a measured grid every k-th pose may be similar.
+# Maximum number of poses with positions from which initial frames are computed; they are drawn at
+# random, as on a grid every k-th may be similar. Of more distances every k-th is used, 200 to 400.
 MAX_START_POSES = 200
 # Minimum number of measured values from which initial frames are computed, and of poses that
 # determine them without the robot file as prior.

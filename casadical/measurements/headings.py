@@ -135,6 +135,7 @@ class Heading:
 # Headings, casadical's names for them, and their quantity: "angle", "length", or empty for one
 # without a unit.
 _Parts = Sequence[tuple[Sequence[Heading], Sequence[str], str]]
+# Type of a group of columns: a list, or by the number of each one's joint.
 _Group = TypeVar("_Group", list[Heading], dict[int, Heading])
 # Possible meanings: each in words, with the columns that it implies.
 _Options = Sequence[tuple[str, _Parts]]

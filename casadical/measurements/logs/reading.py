@@ -29,7 +29,7 @@ from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import LEROBOT_CHANNELS, SAGE_STATE_FILE, bag, is_bag, lerobot, sage
 from casadical.measurements.raw_table import plain_headings, read_table
 
-# Channels whose unit contains an angle or a length.
+# Channels of the joints' motion, in units of an angle or a length, or of these per second.
 MOTION_CHANNELS = {"position", "command", "speed", "command_speed"}
 
 
