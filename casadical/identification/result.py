@@ -79,8 +79,7 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()
 class Tried:
     """Result of the test for compliance that the robot file does not declare.
 
-    rigid, compliant : residual standard deviation of a coordinate with each model, at the same
-        poses [m]
+    rigid, compliant : residual standard deviation of a coordinate by each model, same poses [m]
     kept : whether the data support compliance
     outliers : (set, pose) indices of the outliers of the compliant model; None where it did not use
         all poses
@@ -409,7 +408,8 @@ class Identification(Result):
     def noise_is_assumed(self) -> bool:
         """Whether the noise is neither declared for all sets nor determined by the residuals.
 
-        With a correlated prior, few poses leave too few degrees of freedom to estimate it.
+        With a correlated prior, few poses leave too few degrees of freedom to estimate it. Without
+        such a prior it is False.
         """
         problem = self.problem
         if not problem.correlated or all(m.sigma for m in problem.sets):
