@@ -34,7 +34,7 @@ from casadical.robot.robot_file import to_toml
 
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
-    """Return the base model's Jacobian at the poses of a campaign, shape (n, 3, P) [m per unit].
+    """Return the base model's Jacobian at the poses of a campaign, shape (n, 3, P) [m per SI unit].
 
     It is taken at the values of a calibration of the base model on the campaign.
 
@@ -59,7 +59,7 @@ def unabsorbed_rms(J: Array, shift: Array) -> float:
     return float(np.sqrt(np.mean(remaining**2)))
 
 
-# Smallest number of measured poses of a campaign; with fewer no robot can be identified.
+# Smallest number of measured poses of a campaign; with fewer a robot is hardly identified.
 MIN_POSES = 20
 
 

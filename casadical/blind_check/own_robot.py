@@ -71,8 +71,7 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
         reflector=robot.tool.unknown != "none",
     )
     weighed = with_estimated_masses(robot) if lacks_masses(robot) else robot
-    # Standard deviation of the logarithm of simulated masses where they are estimated from the
-    # reach.
+    # Standard deviation of the logarithm of simulated masses that are estimated from the reach.
     log_mass_sigma = 0.3
     if weighed.masses == "estimated":
         building = replace(building, mass_spread=log_mass_sigma)
@@ -89,6 +88,8 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
 
 def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:
     """Return readings and logged quantities in the order of measuring, as a campaign's columns.
+
+    Times are shifted to begin at `SECONDS_A_POSE`.
 
     turns : whether each joint is revolute, shape (joints,)
     """
@@ -166,8 +167,7 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
     given = [joint.compliance for joint in robot.joints]
     # Simulated deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
     deflection_unknown_stiffness = 3e-4
-    # Simulated deflection at the rated torque of a joint that the robot file declares rigid [rad or
-    # m].
+    # Simulated deflection at the rated torque of a joint that is rigid in the file [rad or m].
     deflection_rigid = 2e-6
     values = [
         1 / c if c else torque / (deflection_rigid if c is None else deflection_unknown_stiffness)
@@ -341,8 +341,8 @@ def check_robot(
 
     robot : nominal robot
     poses : number of poses of a campaign, which are drawn within the joint ranges; or the poses to
-        measure, of which logged quantities (time, temperature, payload, approach) are taken
-        unchanged and all others are simulated
+        measure, of which logged quantities (time since a start, temperature, payload, approach) are
+        taken and all others are simulated
     noise_um : standard deviation of a measured coordinate [um]
     n : number of campaigns
     seed : seed of everything drawn; None: a random one

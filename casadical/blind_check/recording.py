@@ -165,7 +165,7 @@ class Record:
 
 
 def record(subject: Subject, plan: Plan) -> Record:
-    """Return the simulated session of a plan, with and without its effects."""
+    """Return the simulated session of a plan, with, without and with single ones of its effects."""
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
     options: dict[str, Any] = {"approach": "motion"}

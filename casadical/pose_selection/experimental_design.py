@@ -14,8 +14,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Information added to each parameter, divided by the information of all candidates and the fixed
-# one about it over their number; it keeps the information matrix of few poses invertible.
+# Information added to each parameter, times the number of candidates and divided by its information
+# from all of them and the fixed one; it keeps the information matrix of few poses invertible.
 RIDGE_OF_MEAN_INFORMATION = 1e-10
 # Smallest ratio of the information's determinants without and with a pose at which the pose may be
 # removed. Rounding decides how far below an indispensable pose is, so that all are equal.

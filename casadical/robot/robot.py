@@ -30,8 +30,8 @@ from casadical.effects import Effect
 from casadical.robot.model import Model, Structure, constants_of
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
 
-# Maximum number of parameters whose covariance is stored as one block; with more, each effect has
-# its own block, and correlations between blocks are dropped.
+# Maximum number of parameters whose covariance is stored as one block; with more, base model and
+# each effect have their own block (in an NPZ file if still larger), uncorrelated with others.
 MAX_BLOCK_PARAMETERS = 120
 
 
@@ -60,7 +60,7 @@ class Covariance:
                 raise InputError(f"{some}: the variance of {name} is {variance:.6g}; it must be zero or more")
         scale = np.sqrt(np.diag(C))
         correlation = C / np.outer(*[np.where(scale > 0, scale, 1.0)] * 2)
-        # A smallest eigenvalue of a correlation matrix above minus this, times its size, is zero.
+        # Largest asymmetry of a correlation matrix; times its size, that of an eigenvalue below 0.
         eigenvalue_tolerance = 1e-9
         if not np.allclose(correlation, correlation.T, rtol=0, atol=eigenvalue_tolerance):
             raise InputError(f"{some}: it is not symmetric")

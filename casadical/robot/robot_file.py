@@ -155,7 +155,7 @@ def to_toml(
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(shown(line)))
-    # Bounds and priors that are not the default ones, by group.
+    # Units of bounds and priors in a file; a group is written if they are not its default ones.
     width_units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
     widths = {group: in_file_units(w, **width_units) for group, w in robot.widths.items() if w != WIDTHS[group]}
     if robot.body_width != BodyWidth():

@@ -17,8 +17,9 @@ def gear_eccentricity(
     """Return the joint error of an eccentric, oval gear wheel at each of n stops, shape (n,) [rad].
 
     It is the true angle less the reading. The wheel rolls on a pinion, whose angle the encoder
-    measures: the integral of the rim's distance from the shaft. The error is zero at reading zero;
-    to first order its first harmonic has the amplitude `size` and its second `oval` [rad].
+    measures: the integral of the rim's distance from the shaft. The error is zero at reading zero
+    and beyond a turn to either side; to first order its first harmonic has the amplitude `size` and
+    its second `oval` [rad].
 
     joint : number of the joint, from 1
     size : distance of the wheel's centre from its shaft, divided by its radius

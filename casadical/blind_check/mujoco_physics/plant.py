@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from casadical.core.basics import InputError
 from casadical.core.reporting.result import Shown
 
+# An array of doubles.
 Array: TypeAlias = NDArray[np.float64]
 
 

@@ -18,7 +18,7 @@ from casadical.core.basics import InputError
 
 # Columns of measured positions in the measuring frame [mm].
 MEASURED_COLUMNS = ["x_mm", "y_mm", "z_mm"]
-# Columns of the same positions without noise [mm].
+# Columns of the positions without noise, joint repeatability and outliers [mm].
 TRUE_COLUMNS = ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 

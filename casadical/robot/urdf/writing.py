@@ -15,7 +15,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.urdf.reading import UrdfChain, read_chain
 from casadical.robot.urdf.tree import parse_xml
 
-# Largest change of an origin [m, or of a rotation matrix's entry] with which its text stays.
+# Largest change of an origin [m, or entry of a rotation matrix] that leaves its text unchanged.
 UNCHANGED_TOLERANCE = 1e-13
 # Name of the link at the measured point in a new file.
 MEASURED_LINK = "measured"
