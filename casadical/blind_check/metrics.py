@@ -72,7 +72,7 @@ class Outcome:
 
     @property
     def first_right(self) -> bool:
-        """Return whether the causes named first are those of `truth`, in any order; if any."""
+        """Return whether the first causes named are those of `truth`; False if it is empty."""
         return bool(self.truth) and set(self.truth) <= set(self.named[: len(self.truth)])
 
 
@@ -103,7 +103,7 @@ def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate and its 95 % interval; without data these are None.
+    """An estimate and its 95 % interval; without data value, low and high are None.
 
     value : fraction or mean
     low, high : ends of its 95 % interval

@@ -344,7 +344,7 @@ def check_robot(
         measure, of which logged quantities (time since a start, temperature, payload, approach) are
         taken and all others are simulated
     noise_um : standard deviation of a measured coordinate [um]
-    n : number of campaigns
+    n : number of campaigns, at least 4
     seed : seed of everything drawn; None: a random one
     not_logged : quantities that are not logged, of temperature, payload, approach and time
     executor : executor of `concurrent.futures`; None: a process for each core

@@ -24,7 +24,7 @@ class RigidChain:
     """
 
     def __init__(self, kinds: tuple[str, ...], names: tuple[str, ...], chosen: tuple[int, ...] = ()) -> None:
-        """List the elementary transforms in parts; all but the last two end with a joint's."""
+        """List the elementary transforms in parts; all but the last two end with a joint's own."""
         base, tool = (
             [(k > 2, k % 3, name) for k, name in enumerate(PLACEMENT_PARAMETERS[which])] for which in ("base", "tool")
         )

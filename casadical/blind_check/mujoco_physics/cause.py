@@ -131,7 +131,7 @@ def moved_by(plant: Plant, link: int, by: Array) -> Array:
 
 
 def settle(plant: Plant, stops: Stops) -> State:
-    """Return the state in equilibrium of weights and joint springs, to 1e-12 rad or m.
+    """Return the state in equilibrium of weights and linear joint springs, to 1e-12 rad or m.
 
     Raises ConvergenceError where joints are too soft.
     """
@@ -154,7 +154,7 @@ def reflector(state: State) -> Array:
 def largest_torque(plant: Plant) -> Array:
     """Return each joint's largest torque by weights in 300 fixed poses, shape (joints,) [N m or N].
 
-    It is an absolute value.
+    It is an absolute value, of the robot with rigid joints.
     """
     q = draw_poses(plant, 300, np.random.default_rng(0), plant.ranges, unfolded(plant))
     still = Stops(q, np.arange(300.0), np.zeros(300), np.full(300, plant.payload_kg), np.ones_like(q))

@@ -54,8 +54,8 @@ class Options(TypedDict, total=False):
     payload_states : declared masses of the payload [kg], in alternating blocks; default: 0 and the
         plant's
     warmup : warm-up of the arm; default: 7 K with a time constant of 35 minutes
-    approach : direction of each joint's last motion: random, or with "motion" by the order of the
-        poses
+    approach : direction of each joint's last motion: "chance" (default) for random ones, or
+        "motion" for those by the order of the poses
     q_deg : readings that are taken instead of random ones, shape (n, joints) [deg or mm]
     given : columns time_s, temperature_degC, payload_kg, approach1 .. that are taken instead of
         random ones
@@ -146,7 +146,8 @@ def simulate(
 def with_given(stops: Stops, given: pd.DataFrame, warmup: Warmup) -> Stops:
     """Return the stops with those circumstances that a table has in place of their own.
 
-    A temperature that the table lacks follows from the times by the warm-up.
+    A temperature that the table lacks follows from the times by the warm-up; an approach below zero
+    becomes -1, else 1.
 
     given : table with some of the columns time_s, temperature_degC, payload_kg, approach1, ..
     """
