@@ -55,8 +55,8 @@ class EffectTable(TomlTable):
         """Return the effect that the table describes, without its values.
 
         own : classes of effects in addition to the installed ones
-        Raises InputError: no such effect, setting or parameter, too many of the latter, a sigma that
-        is not above 0, or a value in another unit.
+        Raises InputError: no such effect, setting or parameter, too many of the latter, a sigma
+        that is not above 0, or a value in another unit.
         """
         effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
         sizes = effect.sizes()
