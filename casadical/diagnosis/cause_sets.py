@@ -84,7 +84,7 @@ class _Search:
     def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
         """Return the labels of the sets with one more cause, if it gains enough evidence.
 
-        All causes are listed ones; the gain is at least `Settings.min_set_log_gain`.
+        All causes are listed ones; the gain is more than `Settings.min_set_log_gain`.
         """
         return {
             labels
@@ -104,7 +104,8 @@ def most_probable_set(
     """Return the labels of the most probable set of additional causes, and those not certain.
 
     All are listed ones. The set is empty if a single cause is more probable. A cause of it is not
-    certain if sets without it are probable; if none is certain, the set is empty, too.
+    certain if sets without it have more than 0.05 while those with an unlisted cause or none have
+    more than 0.1; if none is certain, the set is empty, too.
     first : ranking given the causes in the model; steps : number of these causes
     rankings_given : function that returns the rankings given sets of additional causes
     variants : effects of each variant of each candidate, by label

@@ -20,8 +20,7 @@ READABLE_UNITS |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6
 class CauseRow:
     """One cause as text for a table.
 
-    shown : its signature, how it appears in the data; named : its label and possible mechanical
-        reasons
+    shown : signature, how it appears in the data; named : label and possible mechanical reasons
     gap : held-out error without it and with it alone [mm], "0.127 -> 0.071"; for outliers the mean
         error with them, because removing rows is no remedy
     shrinks : 95 % interval of the percentage by which the gap shrinks

@@ -77,7 +77,7 @@ def diagnose(
         with their values and covariance as a prior; changes since then are detected first
         (`Diagnosis.changes`). Or a prior of `carry_over`, with its robot
     masses : "candidate": wrong declared link masses are a cause that may be named; "nuisance": they
-        are free in the base model within the robot's `body_width`, never named, like undeclared
+        are free in the base model within the robot's `body_width`, never named (as if undeclared)
     laws : whether the causes must hold against the best expression of an unlisted effect (about 1 s
         for 100 poses); if the expression wins, the verdict is unknown
     show : called with a line of progress

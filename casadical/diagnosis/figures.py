@@ -164,7 +164,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
 
     The 95 % intervals are by bootstrap over poses; outliers are excluded.
     networks : gaps with a network instead of the causes, and after them
-    floor : held-out error by noise alone [m], by default that with the causes
+    floor : held-out error by noise alone [m], by default `Gap.floor`
     """
     rows = [
         ("base model" if r.model == "base" else str(r.model), r.gap_mm, r.low_mm, r.high_mm, "blue" if k else "grey")

@@ -22,13 +22,13 @@ CURVE_COLUMNS = ("joint", "rms [urad]", "share")
 
 @dataclass(frozen=True, eq=False)
 class JointCurve:
-    """One joint's error as a function of its reading.
+    """One joint's error as a function of its own angle, the joint variable.
 
-    joint : number of the joint, 1-based; angle : readings over a turn, shape (k,) [rad]
+    joint : number of the joint, 1-based; angle : angles over a turn, shape (k,) [rad]
     value, error : error of the joint there and its standard error, shapes (k,) [rad]
-    covered : mask of the angles near which there are readings, shape (k,); elsewhere the prior
-        alone determines the curve
-    rms, rms_error : rms of the curve and of its standard error at the readings of the poses [rad]
+    covered : mask of the angles near which there are poses, shape (k,); elsewhere the prior alone
+        determines the curve
+    rms, rms_error : rms of the curve and of its standard error at the inlier poses [rad]
     lost : log evidence that is lost without the curve [nats]
     share : `lost`, if positive, divided by its sum over all joints, 0 to 1
     middle : frequencies between which the middle half of the curve's square lies [cycles per turn]
@@ -49,12 +49,12 @@ class JointCurve:
 
     @property
     def seen(self) -> bool:
-        """Return whether the curve is significant: its rms is above two standard errors."""
+        """Return whether the curve gains evidence and its rms is above two standard errors."""
         return self.lost > 0 and self.rms > 2 * self.rms_error
 
     @property
     def covered_parts(self) -> list[tuple[float, float]]:
-        """Return (first, last) angle of each interval near which there are readings [rad]."""
+        """Return (first, last) angle of each interval near which there are poses [rad]."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.covered, [False]])))
         return [(float(self.angle[a]), float(self.angle[b - 1])) for a, b in edges.reshape(-1, 2)]
 
@@ -100,7 +100,7 @@ def curve_of(causes: Sequence[Cause]) -> JointErrorCurve | None:
 def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise) -> JointCurves:
     """Return the error curves of an effect in the model of a case.
 
-    columns : indices of the columns of all causes, in rising order, shape (k,); noise : of the fit
+    columns : indices of the columns of all causes, rising, shape (k,); noise : assumed by the fit
     """
     e, q = case.evidence, case.m.q[case.inliers]
     fit = new_fit(e, columns, noise, combined=False)
@@ -144,7 +144,7 @@ def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
 
 
 def _covered(angle: Array, q: Array, reach: float) -> Array:
-    """Return the mask of k angles with a reading q within `reach` [rad], modulo a turn, (k,)."""
+    """Return the mask of k angles with a value of q within `reach` [rad], modulo a turn, (k,)."""
     around = np.sort((q + np.pi) % (2 * np.pi)) - np.pi
     around = np.concatenate([[around[-1] - 2 * np.pi], around, [around[0] + 2 * np.pi]])
     after = np.searchsorted(around, angle).clip(1, len(around) - 1)

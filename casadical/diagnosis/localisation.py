@@ -5,7 +5,7 @@ Every fraction ("share") of the squared residual has a 95 % interval.
 Contributions of named causes go to the joints, links, base, tool or instrument through which they
 act, with the posterior that a fit to all poses gives them. The remaining error is divided by
 variance components: one for every joint, link, the base and the tool. Each part may err by any
-smooth function of joint readings, load, approach, time and temperature; its errors act through the
+smooth function of joint variables, load, approach, time and temperature; its errors act through the
 base model's own Jacobian, whose constant part is re-estimated. The variances of the parts' errors
 and of the noise are found by maximum likelihood (y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone
 updates as in Zhou et al. 2019). Each variance is then drawn from its likelihood given the others'
@@ -101,8 +101,8 @@ def _sample(indices: Array, most: int, rng: np.random.Generator) -> Array:
 def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generator) -> tuple[dict[str, Array], Evidence]:
     """Return draws of the mean square that causes explain, by part, and the remaining model.
 
-    The draws have the shape (draws,) [m^2]. The remaining model is that of the residual after the
-    causes' posterior mean.
+    The draws have the shape (draws,) [m^2], {} without causes. The remaining model is that of the
+    residual after the causes' posterior mean.
     columns : indices of the causes' columns, shape (k,)
     """
     e = case.evidence
@@ -183,7 +183,7 @@ def _part_jacobians(case: Case) -> dict[str, Array]:
 def _smooth_functions(case: Case) -> Array:
     """Return the values at all poses of smooth functions, of order one, shape (n, functions).
 
-    They are functions of readings, loads, time, approach, temperature and payload, as logged.
+    They are of joint variables and loads, and of time, approach, temperature and payload if logged.
     """
     robot, q = case.given, case.m.q
     parts = []
@@ -310,14 +310,15 @@ class Localisation:
 
     joints : columns part, share, low, high, rms_mm: fraction, 0 to 1, of the squared gap by named
         causes that act through each joint and by smooth errors of this joint; all else as
-        "elsewhere"; shares sum to one, low and high bound the 95 % interval of the fit
+        "elsewhere"; shares sum to one, low and high bound the posterior's 95 % interval; rms_mm is
+        the rms effect on a measured coordinate
     links : the same for base, links, loop and tool, and for the instrument if a cause acts there
     directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical
         about joint 1), tool (x, y, z); each frame sums to one, noise included; intervals by
         bootstrap over poses, as in all tables that follow
     regions : columns by, part, poses (their number), share (of the squared error), low, high,
         rms_mm (of the distance), rms_low_mm, rms_high_mm, for the poses in each third of the
-        values of a joint's reading, of radius and of height
+        values of a joint variable, of radius and of height
     payload, temperature, time : the same by these; approach : by joint and direction of approach
     """
 
@@ -358,6 +359,7 @@ def localise(found: Diagnosis) -> Localisation:
 def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *, remains: float = 1.0) -> Localisation:
     """Return the fractions of a case's residual by part, direction, region and circumstances.
 
+    The tables of parts are empty where a row depends on two poses (distances between poses).
     noise : noise that is excluded from the fractions of joints and links
     causes : indices of the columns of the named causes, shape (k,)
     seed : seed of the draws and of the bootstrap
@@ -422,7 +424,7 @@ class _BootstrapShares:
     def table(self, *masks: tuple[str, str, Array]) -> pd.DataFrame:
         """Return a table (`BIN_COLUMNS`) with a row for each mask that contains inlier poses.
 
-        masks : (by, part, mask over all poses); those of one `by` sum to one
+        masks : (by, part, mask over all poses); the shares of one `by` sum to one
         """
         rows = []
         size = (self.r**2).sum(axis=1)
@@ -442,7 +444,7 @@ class _BootstrapShares:
 def _directions(case: Case, split: _BootstrapShares) -> pd.DataFrame:
     """Return the fractions of the squared residual along the axes of base, joint 1 and tool.
 
-    The table has `DIRECTION_COLUMNS` and is empty for other measurements than positions.
+    The table has `DIRECTION_COLUMNS` and is empty unless the campaign is one set with positions.
     """
     r = case.vectors
     if r is None:
@@ -481,7 +483,7 @@ def _in_base(case: Case) -> Array:
 
 
 def _regions(case: Case) -> Masks:
-    """Return a mask of the poses for each third of every joint's readings, of radius and of height.
+    """Return a mask of the poses for each third of every joint variable, of radius and of height.
 
     Radius and height are those of the point in the base frame, about joint 1.
     """

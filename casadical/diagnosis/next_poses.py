@@ -158,7 +158,7 @@ def next_poses(
     payloads: Sequence[float] = (),
     pool: int = 800,
 ) -> pd.DataFrame:
-    """Return a table of the next n poses to measure, the most informative first.
+    """Return a table of the next n poses to measure (at most those drawn), most informative first.
 
     Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of
     the campaign that the pose repeats, if any; state, cold or warm, where a cause depends on the
@@ -172,8 +172,7 @@ def next_poses(
     seed : seed of the drawn poses
     against : other labels from which each of these is to be distinguished as well, but not from each
         other; by default "none", and with the default labels the most probable other cause
-    workspace : region in which poses may lie; by default the robot's own ranges, with loops as open
-        as in the campaign
+    workspace : region of the poses; by default the robot's ranges, loops open as in the campaign
     payloads : masses [kg] that can be mounted; by default none, the declared one and the campaign's
     pool : number of poses that are drawn to choose from; the campaign's own are added
     Raises InputError: fewer than two labels or one that the case does not know.
@@ -220,9 +219,9 @@ class _Cause(NamedTuple):
 
 
 def causes_in_question(case: Case, labels: Sequence[str], against: Sequence[str] = ()) -> list[_Cause]:
-    """Return the causes of some labels, each with its most likely and two other likely settings.
+    """Return the causes of some labels, each with its most likely and up to two other settings.
 
-    The cause with the least noise comes first.
+    The others are likely, too; each setting is an item, that with the least noise first.
     labels : causes to distinguish, two or more; `NO_CAUSE` for none
     against : other labels, with their most likely settings only
     Raises InputError: fewer than two labels, or one that is no candidate.
@@ -355,8 +354,8 @@ def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     """Return phrases on at most two joints near zero torque more often than in the campaign.
 
-    Near zero is below 15 % of the peak gravity torque, more often twice the campaign's fraction of
-    poses or 0.3 more.
+    Near zero is below 15 % of the peak gravity torque; more often is above twice the campaign's
+    fraction of poses, or above it by 0.3.
     """
     units = case.given.reading_units
     q = case.given.variables_of(poses[[*units]].to_numpy() * [*units.values()])

@@ -139,8 +139,7 @@ class CauseSet:
     one_more : that of an additional cause given the set
     members : that of each cause, by label, summed over these sets
     others : (labels, probability) of the most probable other sets, unlisted forms included
-    names : by the label of a cause with indistinguishable alternatives: the probability of each
-        label
+    names : by the label of a cause with indistinguishable ones: the probability of each label
     further : by listed label of one additional cause that is detected but not claimed: the
         probability of each label
     further_gap : mean held-out error with the most probable of these in addition to the named
@@ -304,8 +303,7 @@ class Diagnosis(Result):
     def in_question(self) -> tuple[str, ...]:
         """Return the labels of causes that additional poses should distinguish; () if none.
 
-        They are those of an ambiguous cause, else of a possible additional one, else the two most
-        probable ones.
+        They are of an ambiguous cause, a possible additional one or, in doubt, the first two.
         """
         labels = {c.label for c in self.case.candidates}
         for cause in self.causes:

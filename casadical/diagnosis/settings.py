@@ -76,15 +76,13 @@ class Settings:
         correlate by more than this
     min_law_further : probability of "no additional cause" given a law that it needs to be claimed
     min_law_margin : margin over several causes [nats] that a law needs to replace them
-    indistinguishable_law_margin : laws with scores within this of the best one [nats] are reported
-        as indistinguishable
+    indistinguishable_law_margin : laws within this of the best score [nats] are indistinguishable
     max_absorbed_share : fraction of an effect's energy absorbed by the base model above which the
         effect is invisible
     max_findable_multiple : multiple of its usual size, needed to find an effect, above which
         the effect is invisible
     min_size_mm : effects with a smaller rms displacement [mm] do not act at all
-    posterior_draws : number of draws from the posterior of the errors of the robot's parts (see
-        `localisation`)
+    posterior_draws : number of posterior draws of the errors of parts (see `localisation`)
     variance_draws : number of draws of each part's variance, each for several such draws
     unit_error : error that counts as one in the columns of these smooth errors [rad or m]
     near_threshold_odds_ratio : a probability is reported as just above or below the threshold

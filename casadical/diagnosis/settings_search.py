@@ -25,6 +25,7 @@ from casadical.measurements.measurements import Noise
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
     """Return copies of an effect, each with one setting changed by one of four steps.
 
+    Values that are not positive are omitted, unless signed; settings of the user's are not changed.
     fineness : scale of the steps, 1 or less: in units of the grid's spacing for settings with
         `steps`, else of the setting's natural logarithm
     """
@@ -163,6 +164,8 @@ def learnt_sizes(
 ) -> tuple[dict[int, float], Noise]:
     """Return the estimated factor on the prior size of each part, and the remaining noise.
 
+    Factors are 0.05 to 8, and 1 for parts that the data do not determine; the noise is at least a
+    twentieth of the initial one.
     e : linear model; group : indices of the effect's columns, shape (k,)
     parts : indices into the group, by part
     given : indices of the columns of other causes in the model; noise : initial estimate

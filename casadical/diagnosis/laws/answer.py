@@ -57,8 +57,8 @@ class Discovery(Result):
     case : linear problem with the laws among its candidates, on the searched poses
     laws : the claimed laws; causes : listed effects in the model with the laws
     description : where none is claimed, the law that best describes the error by a state variable
-    noise : most probable noise given both
-    values : factors of the laws: (value, standard error, unit) [SI] by name of the parameter
+    noise : most probable noise given laws and causes, or the description, else the diagnosis' noise
+    values : (value, standard error, unit) [SI] of the factors of laws or description, by "law.name"
     gap : mean held-out error [m] by model: "base", "causes" (those of the diagnosis), "law" (laws
         and `causes`), "described" (causes and description), "smooth" (causes and smooth forms); only
         models that exist
@@ -131,7 +131,7 @@ class Discovery(Result):
 
     @property
     def described(self) -> str:
-        """Return the description as a sentence: where the error is, what it follows, its size."""
+        """Return the description in words: where the error is, what it follows, its size; or ""."""
         about = self.description_json()
         if self.description is None or about is None:
             return ""
@@ -156,7 +156,7 @@ class Discovery(Result):
         return np.asarray(value - value.mean(axis=0))
 
     def description_json(self) -> dict[str, Any] | None:
-        """Return place, driver, probability of the driver and size (rms, SI) of the description."""
+        """Return place, driver, its probability and size (rms, SI) of the description, or None."""
         s = self.description
         if s is None:
             return None

@@ -63,8 +63,7 @@ class LawCandidate:
     """The laws of one function at one place, with all its settings.
 
     place : law with a constant formula there
-    unit : columns of its factors in their typical sizes, where the function varies by one, shape
-        (n, 3, d) [m]
+    unit : columns of its factors in typical sizes, of a function that varies by one, (n, 3, d) [m]
     log_prior : log of its share of the prior of all laws
     """
 

@@ -28,7 +28,7 @@ class StateVariable:
 
     family : kind of quantity; joints : numbers of its joints or links, 0 for the pedestal, () for none
     parts : terms of its smooth function, formulas; () for cosines of its driver over the range
-    drivers : (formula, key of `FORMS_BY_KIND`) of each driver that a form may take
+    drivers : (formula, kind as of `forms_of`) of each driver that a form may take
     """
 
     family: str
@@ -99,9 +99,10 @@ def state_variables(arm: Arm) -> list[StateVariable]:
 
 
 def varying(linear: Linearisation, variables: Sequence[StateVariable]) -> tuple[list[StateVariable], dict[str, Array]]:
-    """Return the state variables without constant drivers, and the values of all names, (n,) each.
+    """Return the state variables with what varies of them, and the values of all names, (n,) each.
 
-    A state variable is omitted where a column that it needs does not exist.
+    Constant parts and drivers are removed. A state variable is omitted where nothing varies or a
+    column that it needs does not exist.
     """
     columns = {name: c for v in variables for name in v.names for c in columns_of([name])}
     values = {name: linear.conditions[c] for name, c in columns.items() if c in linear.conditions}
@@ -200,7 +201,7 @@ class Function:
         return cls(variable, driver, Form(SMOOTH_FORM, parts, ("k", "f"), lambda _x: settings), x, names)
 
     def others(self) -> list[Self]:
-        """Return all forms of expressions in the same state variable as this smooth function."""
+        """Return all forms in this smooth function's state variable; [] if it has one part."""
         every = [(d, form) for d, kind in self.variable.drivers for form in forms_of(kind)]
         some = every if len(self.form.parts) > 1 else []
         return [replace(self, driver=d, form=form, x=value_of(d, self.names)) for d, form in some]

@@ -41,7 +41,7 @@ class Round:
     ranking : posterior over the next cause, laws among the candidates by `label_of`
     form : form of the noise under which all were evaluated
     alias : labels of listed effects that are equivalent to the best law
-    further : probability of "no additional cause" given the best law; NaN where it is not probable
+    further : probability of "no additional cause" given the best law; NaN where no form is certain
     """
 
     laws: tuple[ScoredLaw, ...]
@@ -118,6 +118,7 @@ def ranked_laws(
 ) -> Round | None:
     """Return the ranking with laws; None where none can reach the log mass `needed` [nats].
 
+    None, too, where no state variable varies over the poses.
     chosen : indices of the columns in the model; skip : labels of their effects
     ranking : that of the other candidates
     """
@@ -194,6 +195,7 @@ def laws_before_causes(
 ) -> tuple[Round, Case] | None:
     """Return the ranking of laws without a cause in the model, and the case with all poses.
 
+    The case has the form of noise of the ranking. None where `ranked_laws` returns None.
     needed : log mass that a law needs to be of interest [nats], see `ranked_laws`
     poses : largest number of poses on which laws are searched
     """

@@ -91,7 +91,8 @@ def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
     """Return the drive parameters in a file by name (`PARAMETERS`), shape (joints,) each [SI].
 
     They are NaN for joints that the file lacks; a name is missing where a TOML file lacks it. The
-    suffix of the file decides: .toml, .xml (MJCF) or else a table.
+    suffix of the file decides: .toml, .xml (MJCF) or else a table. Where no name of a joint fits,
+    as many joints as the robot has are taken in their order.
 
     Raises InputError: a faulty file, or no joint in it that the robot has.
     """
@@ -127,7 +128,8 @@ def _of_table(path: Path) -> dict[str, Mapping[str, float]]:
 def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
     """Return the parameters [SI] in an MJCF by name of the driven joint.
 
-    Default classes are applied; missing attributes are zero, as in MuJoCo. Raises InputError.
+    Default classes are applied; missing attributes have MuJoCo's defaults: one for kp, gear and
+    gainprm, else zero. Raises InputError.
     """
     with foreign(f"{path.name}: malformed XML"):
         root = ET.fromstring(read_xml(path))
@@ -214,10 +216,9 @@ def arbitrated(
 ) -> Iterator[Arbitration]:
     """Yield the comparison of each file's parameters with the response identified from logs.
 
-    The standard deviation of a parameter combines that of the fit, half the difference between fits
-    to both halves of the logs, and, for a delay, that by sampling.
-    fit : logs from which `response` was identified; runs : held-out runs that are replayed
-    Raises InputError.
+    The standard deviation of a logarithm combines its posterior's, half the difference between fits
+    to both halves of the runs, if there are several, and, for a delay, that by sampling.
+    fit : logs of `response`; runs : held-out runs that are replayed. Raises InputError.
     """
     assert response.log_values is not None
     assert response.log_covariance is not None
@@ -262,8 +263,7 @@ def arbitrated(
 def arbitration_tables(joints: Sequence[str], after: Array, found: Sequence[Arbitration]) -> Iterator[Table]:
     """Yield the tables of the rms replay errors and of the parameters of all files.
 
-    joints : names of the joints; after : rms replay error of the identified response, (joints,)
-        [rad]
+    joints : names of the joints; after : rms replay error of the response, (joints,) [rad]
     """
     rows = [("this fit", *(f"{1e3 * v:.3g}" for v in after))]
     rows += [(Path(a.source).name, *(f"{1e3 * v:.3g}" for v in a.rms)) for a in found]

@@ -54,7 +54,8 @@ class Rows:
     kind : "torque" or "position"; joint : 0-based; used : mask of the samples, shape (samples,)
     r : residual with all parameters zero, shape (rows,), divided by the peak torque, or [rad]
     J : derivatives, shape (rows, k); own : indices of the base's parameters that they belong to
-    sigma : typical standard deviation of the noise; fold : number of each row's run, shape (rows,)
+    sigma : typical standard deviation of the noise
+    fold : number of each row's run, or of its third of a single run, shape (rows,)
     rate : rows per second
     H : columns of causes, shape (rows, m); columns : their indices, rising
     """
@@ -122,7 +123,7 @@ class LogProblem:
     rows : groups of rows; mean, covariance : prior of the base's parameters, shapes (P,), (P, P)
     candidates : possible causes; variants : (candidate, variant) indices of each group of columns;
         groups : indices of the columns of each
-    names : kind and joint of each parameter of the base
+    names : kind, joint (0-based, as text, "" for none) and name of each parameter of the base
     """
 
     rows: tuple[Rows, ...]
@@ -254,7 +255,7 @@ class Found:
     """A cause in the model.
 
     label, variant : label of the candidate, index of its variant; listed : whether it is listed
-    probability : posterior probability of it and its twins among the listed causes
+    probability : posterior of it and its twins among listed causes; of an unlisted one, among all
     twins : labels of causes that these data do not distinguish from it, itself first
     gain : log evidence [nats]; rival : that of the best smooth function [nats]
     """
@@ -311,7 +312,11 @@ def twins_of(label: str, ranking: Ranking) -> tuple[str, ...]:
 
 
 def search(problem: LogProblem) -> Outcome:
-    """Return the causes of a log, added one by one until there is probably no additional one."""
+    """Return the causes of a log, added one by one until no additional one is detected.
+
+    The search also ends where evidence is below `MIN_EVIDENCE`, after an unlisted cause (smooth
+    function) and after `MAX_CAUSES`.
+    """
     found: tuple[Found, ...] = ()
     rankings: tuple[Ranking, ...] = ()
     while True:
@@ -328,7 +333,10 @@ def search(problem: LogProblem) -> Outcome:
 
 
 def next_cause(problem: LogProblem, ranking: Ranking) -> Found:
-    """Return the most probable listed cause, or the best smooth function if that explains more."""
+    """Return the most probable listed cause, or the smooth function of most evidence.
+
+    The latter is returned if the former has less than `MIN_RIVAL_RATIO` of its log evidence.
+    """
     listed = [k for k in ranking.order if problem.by_label[k].listed]
     smooth = [k for k in ranking.log_factor if not problem.by_label[k].listed]
     rival = smooth[first_of_best([ranking.log_factor[k] for k in smooth])] if smooth else listed[0]

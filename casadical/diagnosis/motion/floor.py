@@ -67,8 +67,7 @@ class Floor:
         Newton's method finds the force with which the step ends on the surface. Both are 0 where
         the step ends above the surface without contact.
         ends : function of joint torques [N m] that returns the angles at the end of the step [rad]
-        compliance : derivative of each of these angles by its torque while the joint slides, shape
-            (joints,) [rad/(N m)]
+        compliance : derivative of each angle by its own torque in sliding, (joints,) [rad/(N m)]
         force : contact force of the previous step, from which the iteration starts [N]
         """
         torque = np.zeros(len(compliance))
@@ -95,8 +94,7 @@ def up_of(dynamics: Dynamics) -> Array:
 def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
     """Return the surface below which replays go and readings do not; None without clear evidence.
 
-    read, replayed : measured angles, and those of a replay without a surface, shape (samples,
-        joints) [rad]
+    read, replayed : angles, measured and by a replay without surface, (samples, joints) [rad]
     """
     if not up_of(dynamics).any():
         return None

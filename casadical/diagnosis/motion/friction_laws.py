@@ -31,8 +31,8 @@ MAX_ROWS = 20_000  # of longer logs every k-th row is used
 # A law predicts held-out rows better if its misfit is lower by this fraction.
 MIN_MISFIT_DECREASE = 0.02
 NAMED_PROBABILITY = 0.95  # laws that together have this probability are reported
-# Columns of each joint: constant, rotor, dry and viscous friction, and dry friction times the mean of
-# motor torque and load, the motor torque, and the load.
+# Columns of each joint: constant, rotor; dry, viscous and curved (v |v|) friction; and dry friction
+# times the mean of motor torque and load, times the motor torque, and times the load.
 JOINT_COLUMNS = ("constant", "rotor", "dry", "viscous", "curved", "mean", "motor", "load")
 # Columns of each joint and Stribeck curve, which vanish above its speed. Squared is the smaller of
 # load and motor torque.
@@ -131,8 +131,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
 
     arm : with the gains and delays of its servos, if the torque follows from position errors
     floor : surface; rows in contact with it are excluded
-    None where no torque was logged, nor a current with a declared torque constant, nor are there
-    commands and gains.
+    None without all of: torque, current with its torque constant declared, commands with gains.
     """
     m = motion_of(log, arm, (FRICTION_MEMORY_RAD,))
     torque = m.torque if log.torque is not None or arm.per_ampere is not None else None

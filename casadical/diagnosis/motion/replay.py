@@ -91,8 +91,7 @@ class Replay(Result):
         """Return the rms torque errors of each joint before and after, shape (joints,) each [N m].
 
         Before is logged torque minus that of the bodies along the commands, after is logged minus
-        replayed torque. None where no torque was logged, nor a current with a declared torque
-        constant.
+        replayed torque. None without torque and without current with a declared torque constant.
         """
         logged = [torque_of(run, arm_of(self.response.dynamics.given)) for run in self.runs]
         if self.response.torque_terms is None or any(each is None for each in logged):

@@ -106,8 +106,7 @@ class Response:
     gain : gain of the servo [N m/rad]; bias : constant torque [N m]; friction : dry friction [N m]
     damping : viscous damping [N m s/rad]; delay : delay of the command [s]
     inertia : inertia of the joint, rotor included [kg m^2]; fitted : sources of the logs
-    moved : mask of the joints that moved in them; the others have the typical response of the
-        priors
+    moved : mask of the joints that moved in them; the others have the priors' typical response
     torque_terms : coefficients, shape (joints, 4), of logged torques beyond the bodies': dry
         friction [N m], viscous friction [N m s/rad], rotor [kg m^2], constant [N m]; None without
         a logged torque
@@ -250,8 +249,8 @@ def response_of(robot: Robot) -> Response:
 def pieces_of(run: JointLog, length: float = PIECE_DURATION_S) -> list[Piece]:
     """Return a run resampled at uniform times and divided into pieces of about equal length.
 
-    length : duration of a piece [s]; infinite: one piece. Else runs of less than two seconds give
-        no piece
+    length : duration of a piece [s]; infinite: one piece. Else runs of less than two seconds, and
+        any with a single row, give no piece
     Raises InputError: the run has no commands.
     """
     if run.command is None:
@@ -359,8 +358,8 @@ class _Problem:
     weight : weight of each sample, 0 behind a piece's end
     load : gravity torque along the command [N m]
     step : time between samples, shape (pieces, joints) [s]
-    middle, width : prior means and standard deviations of the parameters in the order described at
-        `PARAMETERS_PER_JOINT`, shape (joints, PARAMETERS_PER_JOINT)
+    middle, width : prior means and standard deviations of the parameters, logarithms and offset, in
+        the order described at `PARAMETERS_PER_JOINT`, shape (joints, PARAMETERS_PER_JOINT)
     limits : smallest and largest angles (see `limits_of`)
     """
 
@@ -481,8 +480,7 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
     def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, tuple[Array, Array]]:
         """Return parameters and covariances of some problems, fitted to the samples off the surface.
 
-        there : by index of the problem, a mask of the samples off the surface, shape (steps,
-            pieces)
+        there : by index of the problem, the mask of samples off the surface, shape (steps, pieces)
         starts : initial parameters, by index of the problem
         """
         parts = [replace(problems[k], weight=problems[k].weight * rows[..., None]) for k, rows in there.items()]

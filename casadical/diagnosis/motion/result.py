@@ -33,7 +33,7 @@ MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of probable causes
 WIDE_SCALE = 5.6  # prior standard deviation of a payload whose mass is reported, in typical ones
 # Smallest probability of a cause and its twins that is not called ambiguous.
 MIN_CLEAR_PROBABILITY = 0.9
-MAX_SAMPLES = 12000  # of longer logs every k-th sample is used, so that this many are judged
+MAX_SAMPLES = 12000  # of longer logs every k-th sample is used, so that about this many are judged
 MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 
 
@@ -91,7 +91,8 @@ class LogDiagnosis(Result):
     def fitting(self) -> tuple[Found, ...]:
         """Return the causes that fit (see `Found.fits`), at most one of each joint.
 
-        They are named if torques were logged, else hints; () if the log is faulty.
+        Further ones, and all without torques, have at least `MIN_FURTHER_EVIDENCE`. They are named
+        if torques were logged, else hints; () if the log is faulty.
         """
         found = () if self.faults else self.outcome.found
         joints = [f.label.partition("@")[2] for f in found]
@@ -109,7 +110,7 @@ class LogDiagnosis(Result):
 
     @property
     def verdict(self) -> str:
-        """Return "explained" (something is named), "ambiguous", "unknown" or "none"."""
+        """Return "explained" (fault, stop or cause), "ambiguous", "unknown" or "none"."""
         if self.faults or self.stops or self.named:
             return "explained"
         if not self.outcome.found:
@@ -141,7 +142,8 @@ class LogDiagnosis(Result):
         """Return the rms residuals of each joint, of three models, shape (joints,) each.
 
         The models are the nominal one, the fitted base, and base with causes. Residuals are those
-        of torques [A or N m] in sliding where they were logged, otherwise of positions [rad].
+        of torques [A or N m] in sliding where they were logged, otherwise of positions [rad], by
+        the nominal model the command.
         """
         problem, complete, m = self.outcome.problem, self.outcome.with_causes, self.view.motion
         nominal = [r.r for r in problem.rows]

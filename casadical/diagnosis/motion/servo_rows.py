@@ -42,10 +42,10 @@ BASE_PARAMETERS = {
 PARAMETER_COUNT = len(BASE_PARAMETERS)
 TYPICAL_FRICTION_RAD = 0.01  # prior median of dry friction divided by the gain
 TYPICAL_LOAD_FRICTION = 0.08  # prior mean of friction divided by the load
-# Prior median of damping divided by the declared one (motors add to it).
+# Prior median of damping divided by the servo's declared kd (motors add to it).
 TYPICAL_DAMPING_SHARE = 1.5
-TYPICAL_INERTIA_SHARE = 1.6  # prior median of inertia / declared inertia (motors add to it)
-CLOCK_STEPS = 0.25  # clocks of commands and readings differ by about this [samples]
+TYPICAL_INERTIA_SHARE = 1.6  # prior median of inertia / rotor inertia of the robot's drives
+CLOCK_STEPS = 0.25  # prior mean (negative) and standard deviation of an additional delay [samples]
 STRIBECK_SPEED_RAD_S = 0.1  # speed at which the excess of friction at low speed has fallen to 1/e
 TYPICAL_LAG_S = 0.06  # prior median of damping / gain where kd is not declared [s]
 BASE_NOISE_RAD = 1.5e-3  # typical noise of a position in a replay, without the reading's resolution
@@ -336,7 +336,7 @@ def simulated_columns(
 
 
 def saturation_columns(replay: Replay, x: Array) -> list[tuple[int, Signals]]:
-    """Return for each joint (0-based) and tried torque limit the column of saturation."""
+    """Return the column of saturation for each joint (0-based) that moves and each torque limit."""
     n, m = len(x), replay.view.motion
     assert m.command is not None
     most = np.quantile(np.abs(m.command - m.position), 0.999, axis=0)

@@ -108,12 +108,10 @@ def arm_of(robot: Robot) -> Arm:
 class Motion:
     """Smoothed signals of a log, each of shape (n, joints) [SI] unless stated otherwise.
 
-    time : time since the log began, pauses included, shape (n,) [s]; run : number of each sample's
-        run, from 1, shape (n,)
-    position : measured angles [rad]; q, v, a : angle, velocity and acceleration, measured or
-        commanded (see `motion_of`)
-    command, command_v, command_a : command delayed by the declared delay, and its derivatives; or
-        None
+    time : time since the log began, with `PAUSE_BETWEEN_RUNS_S` between runs, shape (n,) [s]
+    run : number of each sample's run, from 1, shape (n,)
+    position : measured angles [rad]; q, v, a : the same, velocity and acceleration
+    command, command_v, command_a : command after the declared delay, and derivatives; or None
     torque : torque at the joints [N m], current [A] without a declared torque constant, or None
     heat : temperature above its minimum in the log [K], or None
     memory : play operators of the angle, -1 to 1, by half-width [rad] (see `play_operator`)
@@ -154,7 +152,7 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...] = (), max_sampl
     """Return the smoothed signals of a log; runs of less than two seconds are excluded.
 
     widths : half-widths of the play operators [rad]
-    max_samples : number of samples to which long logs are thinned; None: they are not
+    max_samples : approximate number to which long logs are thinned; None: by `MAX_RATE_HZ` alone
     Raises InputError for a log without a run of two seconds.
     """
     parts: list[dict[str, Array]] = []
@@ -252,7 +250,7 @@ def resampled(values: Array, time: Array, t: Array) -> Array:
     """Return columns linearly interpolated at the times t [s], shape (len(t), columns).
 
     values : at the times `time` [s], shape (len(time), columns); values that are not finite are
-        ignored
+        ignored, and columns without finite ones are zero
     """
     there = np.isfinite(values).T
     columns = (

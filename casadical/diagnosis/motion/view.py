@@ -183,8 +183,7 @@ def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Ar
 def signals_of(log_view: LogView, effect: DefinedEffect, sliding: float | None = None) -> list[Signals]:
     """Return, for each parameter of a cause, its signals at the parameter's typical size.
 
-    Signals without any effect are omitted. The list is empty where variables of the cause were not
-    logged.
+    Signals without any effect are omitted. [] where variables of the cause were not logged.
     sliding : a direction, 1 or -1, in which all joints slide; None: that of the motion
     """
     out = [Signals() for _ in effect.sizes()]
