@@ -165,8 +165,8 @@ def rated_torque(plant: Plant) -> Array:
     """Return the torque by which effects of each joint are sized, shape (joints,) [N m or N].
 
     It is the joint's `largest_torque`, but at least 5 % of the largest of all joints. If that is
-    below 0.1 % of the moment of all weights of the arm stretched out horizontally, as where it moves
-    in a level plane, the moment takes its place.
+    below 0.1 % of the moment of all weights of the arm stretched out horizontally, as where it
+    moves in a level plane, the moment takes its place.
     """
     largest, full = largest_torque(plant), stretched_moments(plant, 0)[1]
     greatest = largest.max() if largest.max() > 1e-3 * full else full
