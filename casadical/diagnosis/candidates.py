@@ -123,8 +123,7 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
 
     Smooth forms are appended as unlisted candidates and, with the list standard, extended effects.
     extra : a user's own effects, which replace those of the lists with the same label
-    Raises InputError for a name that is no effect, and for a user's own effect of joints that the
-    robot has not.
+    Raises InputError for a name that is no effect, or an own effect of a joint the robot lacks.
     """
     standard = _of_list("standard", robot)
     extended = [*standard, *_of_list("extended", robot)]
@@ -173,6 +172,7 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
 
 
 def _joints(variant: tuple[Effect, ...]) -> set[int | None]:
+    """Return the joints (1-based) of a variant's effects, None for an effect of no joint."""
     return {e.joint for e in variant}
 
 

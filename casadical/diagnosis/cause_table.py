@@ -99,7 +99,7 @@ def joints_of(c: Cause) -> str:
 
 
 def listed(words: Iterable[str]) -> str:
-    """Return words separated by commas, with "and" before the last."""
+    """Return words separated by commas, with "and" before the last; "" for none."""
     *first, last = [*words] or [""]
     return f"{', '.join(first)} and {last}" if first else last
 

@@ -71,8 +71,7 @@ def diagnose(
         model are ignored
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
     seed : seed of all random numbers
-    bootstrap : number of draws of pure noise that calibrate the detection (2000 take some seconds);
-        0 for none
+    bootstrap : number of draws of pure noise that calibrate the detection (2000: seconds); 0: none
     prior : the same robot as identified on another campaign, whose effects enter the base model
         with their values and covariance as a prior; changes since then are detected first
         (`Diagnosis.changes`). Or a prior of `carry_over`, with its robot

@@ -84,8 +84,7 @@ class Evidence(LinearModel):
     size : factors from residuals to the reported error, (n, 3), zero for angles; None: ones
     stop : index of the robot's stop at which each pose was measured, shape (n,), where several
         targets were measured at one; None where each pose has a stop of its own
-    alike : index of the unknown points at which each pose was measured, shape (n,); None without
-        such points
+    alike : index of the unknown points at which each pose was measured, (n,); None without any
     unsure : masks, shape (n, 3), of the numbers of small tables (two at most) whose noise relative
         to the other tables is uncertain; likelihoods are averaged over it
     near : indices of the points of `RHO_GRID` that are evaluated; all of them until an effect of

@@ -208,7 +208,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
 
 
 def shrinks(d: Diagnosis) -> Figure:
-    """Return the figure of the percentage by which each cause alone shrinks the held-out gap."""
+    """Return the figure of how much each cause but outliers shrinks the held-out gap alone [%]."""
     causes = [c for c in d.causes if c.effects]
     low, high = ([100 * c.shrink_interval[k] for c in causes] for k in (0, 1))
     return intervals(

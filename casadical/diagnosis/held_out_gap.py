@@ -121,8 +121,7 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     """Return the mean held-out errors of the nonlinear refit and of the linear model.
 
     Ipopt refits all poses once; each fifth is then removed by a Gauss-Newton step from that
-    optimum, which moves the parameters by a few standard errors at most, within which the model is
-    linear.
+    optimum, which moves the parameters by a few standard errors at most: the model is linear there.
 
     Raises ConvergenceError: Ipopt finds no optimum.
     """

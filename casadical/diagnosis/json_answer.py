@@ -105,4 +105,5 @@ def diagnosis_files(
 
 
 def _mm(value: float) -> float:
+    """Return a length [m] in millimetres, rounded to five decimals."""
     return round(1e3 * value, 5)

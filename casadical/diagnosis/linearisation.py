@@ -51,8 +51,7 @@ class Linearisation:
     conditions : logged and derived columns by name, shape (n,) each
     J : Jacobian of the measured position by the base model's parameters, shape (n, 3, P)
     S : Jacobian of the measured position by all seam variables, shape (n, 3, seams)
-    seen : quantities that effects depend on (measured point, gravity torques, gravity, frames),
-        shape (n, quantities)
+    seen : quantities for effects (point, gravity torques, gravity, frames), shape (n, quantities)
     constants : constants of the model (see `constants_of`)
     far : q and seen at the other ends of measurements between two poses, whose seam variables
         follow those of the first ends in S; None for measurements with one end
@@ -215,6 +214,7 @@ class EffectColumns(Columns):
 
     @property
     def _own(self) -> tuple[Effect, ...]:
+        """Return the effects after those of `first`."""
         return self.effects if self.first is None else self.effects[len(self.first.effects) :]
 
     @property
@@ -229,11 +229,13 @@ class EffectColumns(Columns):
 
     @cached_property
     def _edges(self) -> Array:
+        """Return the first column of each effect, then the number of columns, (effects + 1,)."""
         earlier = np.zeros(1, dtype=np.int64) if self.first is None else self.first._edges
         return np.concatenate([earlier, earlier[-1] + np.cumsum([len(e.sizes()) for e in self._own], dtype=np.int64)])
 
     @cached_property
     def _parts(self) -> tuple[Part, ...]:
+        """Return the formulas of all effects as groups (see `plan`)."""
         return plan(self.linear.model, self.effects)
 
     @property
@@ -249,6 +251,7 @@ class EffectColumns(Columns):
         return factors
 
     def _factors_at(self, linear: Linearisation) -> Factors:
+        """Return all columns' seam derivatives at the poses of a linearisation."""
         return linear.factors(self._parts, self.sizes)
 
     @property

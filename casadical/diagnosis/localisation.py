@@ -520,6 +520,7 @@ def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
 
 
 def _time(case: Case) -> Masks:
+    """Return a mask of the poses for each quarter of the campaign in the order of measuring."""
     quarter = np.minimum((4 * case.progress).astype(int), 3)
     return [("time", f"quarter {k + 1} of 4", quarter == k) for k in range(4)]
 

@@ -72,6 +72,7 @@ class Predictive:
         self._set(root @ root.transpose(0, 2, 1) + noise)
 
     def _set(self, own: Array) -> None:
+        """Store the covariance of the data, its inverse and its log determinant."""
         self.own, self.inverse = own, np.linalg.inv(own)
         self.volume: Array = np.linalg.slogdet(own)[1]
 

@@ -33,7 +33,7 @@ class Rule(StrEnum):
 class NoiseAccount:
     """The noise that a diagnosis assumed and its independent references, for one coordinate.
 
-    total : standard deviation of a coordinate by the diagnosis [m], instrument and joints together
+    total : rms noise of a coordinate as estimated [m], instrument and joints together
     sigma : that of the instrument alone [m]; repeatability : joint repeatability [rad]
     declared : declared sigma of the instrument [m], zero if none
     sheet : largest error by the data sheet [m], zero if none

@@ -29,8 +29,7 @@ class Form:
         the order of measuring, shape (n, numbers); None for none
     scale : factor on the noise of each pose, in the order of measuring, shape (n,), or on the
         instrument's noise of each number, shape (n, 3); None for ones
-    log_weight : term that is added to the log likelihood: log prior of the form and log determinant
-        of its prewhitening
+    log_weight : term added to log likelihoods: log prior and log determinant of the prewhitening
     """
 
     ar_coefficient: float = 0.0

@@ -36,8 +36,7 @@ class Ranking:
     probability : posterior probability of each candidate, by label; they and `none` sum to one
     log_factor : log Bayes factor of each candidate against no additional cause, by label
     log_mass : log_factor plus the log of the candidate's prior probability, by label
-    variant : index of the most likely variant (settings) of each candidate, by label; a `Rival` has
-        none
+    variant : index of the most likely variant (settings) of a candidate, by label; not of a `Rival`
     noise : most likely noise without an additional cause (key "") and with each candidate, by label
     log_noise : increase of the log mass of no additional cause by other forms of noise
     noise_form : the most probable form of noise, where it is more probable than white noise; else

@@ -216,8 +216,7 @@ class Diagnosis(Result):
     course : held-out error as causes are added (see `held_out_gap.course`)
     replicates : standard deviation over repeated poses, of which there may be none
     rankings : posterior over the next cause at each step of the search
-    outliers : rejected poses; joint_of_outliers : joint (1-based) along whose motion they deviate,
-        or None
+    outliers : rejected poses; joint_of_outliers : joint (1-based) along which they deviate, or None
     missing : columns that were not logged, by label of the effect that needs them
     case : linear model from which the diagnosis was computed
     identification : identification of the base model; seed : seed of all random numbers

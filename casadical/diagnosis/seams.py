@@ -47,6 +47,7 @@ class _Probe(Effect):
         return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.arm.n + 1)))
 
     def _frame(self, context: Context, seam: str) -> Symbolic:
+        """Return the transform (4, 4) [m] by the six variables of a frame's seam."""
         return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
 
     def link(self, number: int, context: Context) -> Symbolic:

@@ -77,8 +77,7 @@ class Settings:
     min_law_further : probability of "no additional cause" given a law that it needs to be claimed
     min_law_margin : margin over several causes [nats] that a law needs to replace them
     indistinguishable_law_margin : laws within this of the best score [nats] are indistinguishable
-    max_absorbed_share : fraction of an effect's energy absorbed by the base model above which the
-        effect is invisible
+    max_absorbed_share : an effect is invisible if the base absorbs a larger fraction of its energy
     max_findable_multiple : multiple of its usual size, needed to find an effect, above which
         the effect is invisible
     min_size_mm : effects with a smaller rms displacement [mm] do not act at all

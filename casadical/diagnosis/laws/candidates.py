@@ -246,7 +246,7 @@ class LawProblem:
 
 
 def _batches(candidates: Sequence[LawCandidate]) -> Iterator[list[LawCandidate]]:
-    """Yield candidates with equal numbers of columns, whose columns take 60 MB at a time."""
+    """Yield batches of candidates with equal numbers of columns, of about 60 MB of columns each."""
     by_width: dict[int, list[LawCandidate]] = {}
     for c in candidates:
         by_width.setdefault(len(c.function.form.parts) * c.unit.shape[2], []).append(c)

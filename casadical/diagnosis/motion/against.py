@@ -52,8 +52,7 @@ class Arbitration:
     rms : rms of reading minus its replay in the held-out runs, shape (joints,) [rad]
     values : its values of `RATIOS`, shape (joints, 5), NaN where the file gives none
     low, high : 95 % interval identified from the logs, shape (joints, 5)
-    verdicts : for each joint and ratio "contradicted", "agrees", "not determined", or "" where
-        there is no value
+    verdicts : by joint and ratio "contradicted", "agrees", "not determined", or "" without a value
     """
 
     source: str
@@ -197,6 +196,7 @@ def with_parameters(response: Response, given: Mapping[str, Array]) -> Response:
     """
 
     def chosen(name: str, own: Array) -> Array:
+        """Return the set's values of a parameter, the response's `own` where they are missing."""
         values = given.get(name)
         return own if values is None else np.where(np.isnan(values), own, values)
 

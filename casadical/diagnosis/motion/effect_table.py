@@ -109,6 +109,7 @@ def effect_table(
     """
 
     def rms(positions: Sequence[Array]) -> Array:
+        """Return the rms of reading minus replayed positions, shape (joints,) [rad]."""
         error = np.concatenate([run.position - q for run, q in zip(runs, positions, strict=True)])
         return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
 

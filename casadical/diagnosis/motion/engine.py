@@ -33,7 +33,8 @@ MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its resp
 MAX_CAUSES = 3  # largest number of causes that are searched for
 MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
 MIN_EVIDENCE = 30.0  # smallest log evidence [nats] with which a cause enters the model
-# Causes that never fit: on the logs of which the rule was learnt they stand for errors of the base.
+# Causes that never count as fitting: on logs on which the rule was learnt they stood for errors of
+# the base.
 DOUBTFUL_CAUSES = frozenset(["play", "warm_up", "link_mass", "torque_constant"])
 MIN_FIT_EVIDENCE = 40.0  # smallest log evidence [nats] of a cause that fits
 # The same of further causes: an earlier one whose formula is not exact leaves a part of its effect.
@@ -41,7 +42,7 @@ MIN_FURTHER_EVIDENCE = 60.0
 MIN_FIT_PROBABILITY = 0.95  # smallest probability of a cause that fits, and its twins
 # Smallest log evidence of a cause that fits, divided by that of the best smooth function.
 MIN_RIVAL_RATIO = 1 / 1.2
-# Gaussian bumps of a smooth function, by its variable, that stands for a cause on no list.
+# Number of Gaussian bumps of a smooth function, which stands for a cause on no list, by variable.
 BUMPS_OF = {"angle": 28, "angle and direction": 20, "angle, one way": 20, "angle, other way": 20}
 BUMPS_OF |= {"speed": 14, "load": 10, "time": 28}
 UNLISTED_SIGMAS = 2.0  # typical size of a bump in units of the row's noise

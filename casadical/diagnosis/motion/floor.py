@@ -86,7 +86,7 @@ class Floor:
 
 
 def up_of(dynamics: Dynamics) -> Array:
-    """Return the unit vector opposite to gravity in the measuring frame, shape (3,), or zeros."""
+    """Return the unit vector against gravity in the measuring frame, (3,), zeros without any."""
     gravity = dynamics.robot.base.T[:3, :3] @ dynamics.gravity
     return np.asarray(-gravity / (np.linalg.norm(gravity) + 1e-300))
 
@@ -104,6 +104,7 @@ def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
     sigma = float(np.quantile(np.abs(read_heights - replayed_heights), 0.25)) / 0.3186 + MIN_HEIGHT_NOISE_M
 
     def cost(heights: Array) -> float:
+        """Return the pseudo-Huber cost of replayed heights against those read [nats]."""
         wide = np.sqrt(1 + ((read_heights - heights) / (OUTLIER_SIGMAS * sigma)) ** 2) - 1
         return INDEPENDENT_SAMPLE_FRACTION * OUTLIER_SIGMAS**2 * float(wide.sum())
 

@@ -80,7 +80,7 @@ class FrictionLaws:
 
     @property
     def likely(self) -> list[str]:
-        """Return the most probable laws, which together have `NAMED_PROBABILITY`."""
+        """Return the most probable laws, as many as reach `NAMED_PROBABILITY` together."""
         order = sorted(self.probability, key=lambda law: -self.probability[law])
         sums = np.cumsum([self.probability[law] for law in order])
         return order[: 1 + int(np.searchsorted(sums, NAMED_PROBABILITY))]

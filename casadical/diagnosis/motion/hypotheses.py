@@ -15,7 +15,7 @@ from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import Cause, motion_effects
 from casadical.effects.settings import grid_points
 
-# Causes that only a healthy log of the same arm can show.
+# Causes that only a comparison with a healthy log (reference) of the same arm can show.
 FRICTION_CAUSES = ("coulomb_friction", "viscous_friction", "load_friction")
 # Name of dry and of viscous friction among a cause's variables -> kinds of the base's torque columns.
 FRICTION_KINDS = {"friction": ("slip", "loaded", "dip"), "drag": ("viscous", "curved")}
@@ -56,7 +56,7 @@ def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffe
 
 
 def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:
-    """Return the friction torques of the fitted base, divided by peak torque, (samples, joints)."""
+    """Return the fitted base's `FRICTION_KINDS` of torque / peak torque, (samples, joints) each."""
     x, m, speed = problem.fit.x, log.motion, log.variables["speed"]
     slip, fall = np.sign(m.v), np.exp(-np.abs(m.v) / STRIBECK_SPEED_RAD_S)
     shapes = {"slip": slip, "loaded": slip * np.abs(log.variables["load"]), "dip": slip * fall}

@@ -203,7 +203,7 @@ class Response:
         return np.asarray(np.maximum(self.inertia - link_inertia(self.dynamics), MIN_ROTOR_SHARE * self.inertia))
 
     def drive(self) -> Drive:
-        """Return the drive of the given robot with the identified parameters, to four digits."""
+        """Return the given robot's drive with identified parameters, stops and surface, rounded."""
         numbers = {
             "kp": self.gain,
             "bias": self.bias,
@@ -292,8 +292,7 @@ def simulated(
     step : time between samples [s]
     friction, lag, inertia : dry friction [rad], damping [s] and inertia [s^2], divided by the
         servo's gain; friction may be of each sample, shape (1 + steps, ...)
-    floor : surface above which the tool stays, for arrays of shape (joints,) only; then `gain` is
-        needed [N m/rad]
+    floor : surface above which the tool stays, for arrays (joints,) only; needs `gain` [N m/rad]
     limits : smallest and largest angle of each joint, by its stops [rad]
     commands : command for each step, in its middle [rad], for `capacity`, the largest position
         error that the servo acts on [rad]
@@ -317,6 +316,7 @@ def simulated(
         return push
 
     def ends(q: Array, push: Array, torque: Array) -> Array:
+        """Return the angles [rad] at the end of a step with additional joint torques [N m]."""
         return np.asarray(q + step * slid(push + torque / gain))
 
     out[0] = q
@@ -516,6 +516,7 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
     steps, pieces = (max(p.command.shape[k] for p in problems) for k in (0, 1))
 
     def wide(of: Callable[[_Problem], Array]) -> Array:
+        """Return an array of all problems, padded with zeros and concatenated along the joints."""
         parts = [np.pad(of(p), ((0, steps - len(of(p))), (0, pieces - of(p).shape[1]), (0, 0))) for p in problems]
         return np.concatenate(parts, axis=2)
 

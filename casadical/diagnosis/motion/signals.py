@@ -221,9 +221,11 @@ def _run(
     samples = slice(edge, len(t) - edge, every)
 
     def smooth(values: Array) -> Array:
+        """Return columns at the uniform times, smoothed."""
         return smoothed(resampled(values, run.time, t), smoothing_kernel(step))
 
     def rate(values: Array) -> Array:
+        """Return the time derivative of columns at the uniform times [1/s]."""
         return np.asarray(np.gradient(values, step, axis=0))
 
     signals: dict[str, Array] = {}

@@ -30,7 +30,10 @@ BASE_TIME_ERROR_S = 5e-4  # time shift of the motion that gives the typical nois
 
 
 def sliding(view: LogView) -> Array:
-    """Return the mask of the samples at which each joint slides, shape (samples, joints)."""
+    """Return the mask of the samples at which each joint slides, shape (samples, joints).
+
+    It moves and is more than `MIN_SLIDING_RAD` from its last reversal or the run's start.
+    """
     m = view.motion
     way, at = np.sign(m.v), np.arange(len(m.q))[:, None]
     begins = np.ones_like(way, dtype=bool)
@@ -40,7 +43,7 @@ def sliding(view: LogView) -> Array:
 
 
 def _torque_columns(view: LogView, j: int) -> dict[str, tuple[Array, float]]:
-    """Return columns of joint j's torque, divided by peak torque, with prior standard deviations."""
+    """Return (column, prior sigma) of joint j's (0-based) torque / peak torque, by name."""
     variables, m = view.variables, view.motion
     speed, load, slip = variables["speed"][:, j], variables["load"][:, j], np.sign(m.v[:, j])
     columns = {
@@ -62,7 +65,7 @@ def _torque_columns(view: LogView, j: int) -> dict[str, tuple[Array, float]]:
 
 
 def _servo_columns(view: LogView, j: int) -> dict[str, tuple[Array, float]]:
-    """Return columns of joint j's position error [rad], with prior standard deviations."""
+    """Return (column, prior sigma) of joint j's (0-based) position error [rad], by name."""
     m, arm, variables = view.motion, view.arm, view.variables
     assert m.torque is not None
     columns = {

@@ -40,8 +40,7 @@ class LogView:
     Y : regressor of the rigid bodies, shape (samples, joints, 10 joints) [SI]
     gain : gain of each servo, shape (joints,) [N m/rad]; ones where torques were logged and no gain
         is declared
-    frictions : friction torques fitted by the base, divided by peak torque, by name, shape
-        (samples, joints)
+    frictions : friction torques of the base / peak torque, by name, shape (samples, joints) each
     """
 
     motion: Motion
