@@ -302,7 +302,8 @@ class Diagnosis(Result):
     def in_question(self) -> tuple[str, ...]:
         """Return the labels of causes that additional poses should distinguish; () if none.
 
-        They are of an ambiguous cause, a possible additional one or, in doubt, the first two.
+        They are those of an ambiguous cause, else of a possible additional one, else the two most
+        probable of the last ranking where the verdict is ambiguous or unknown and none is certain.
         """
         labels = {c.label for c in self.case.candidates}
         for cause in self.causes:
@@ -370,7 +371,7 @@ class Diagnosis(Result):
 
     @property
     def has_rest(self) -> bool:
-        """Return whether error above the noise floor is unexplained: above 5 % of the gap."""
+        """Return whether more than 5 % of the gap is unexplained; False for the verdict none."""
         return self.verdict != "none" and self.unknown_rest > 0.05
 
     @cached_property

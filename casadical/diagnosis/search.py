@@ -87,6 +87,7 @@ class State:
     ) -> Ranking:
         """Return the posterior over one additional cause given those of some steps.
 
+        Forms of noise are among its rivals unless `also` is given.
         given : steps whose causes are in the model
         also : effects of further causes in the model, by label
         keep : label that stays a candidate: an effect of several joints even if few joints show it,

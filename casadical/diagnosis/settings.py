@@ -51,13 +51,14 @@ class Settings:
     min_joint_log_evidence : log evidence [nats], given the others, by which a joint shows an
         effect of several joints; joints with less are removed from it
     max_form_searches : number of times that causes are searched again under other noise
-    max_p_nothing_under_form : under autocorrelated noise a cause is detected only if "nothing"
-        is less probable than this, because the form of such noise is uncertain
+    max_p_nothing_under_form : under autocorrelated noise or a noisy joint a cause is detected only
+        if "nothing" is at most so probable, because the form of such noise is uncertain
     min_set_log_gain : log evidence [nats] that each additional cause of a set must gain
-    min_change : probability of a change from which an earlier campaign's prior of a part widens
+    min_change : probability of a change from which a part gets a wide prior, not the earlier one
     min_doubtful : smallest probability at which a detected cause that is not certain (see
         `claims.named`) may remain, the sum over it and those that the data cannot distinguish from
-        it; also that of the labels listed for a possible additional cause
+        it; also that of the labels listed for a possible additional cause, and of the driver that
+        describes an error without a law
     same_joint_prior_factor : factor on the prior of an additional cause at a joint that has a
         cause already: it is more likely a flaw of the first cause's equation
     folds : number of folds of a partition of the poses

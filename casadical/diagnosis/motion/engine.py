@@ -27,7 +27,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, p
 INDEPENDENT_SAMPLES_PER_S = {"torque": 8.0, "position": 3.0}
 NOISE_FREEDOM = 20.0  # degrees of freedom of the prior of a joint's noise variance
 NOISE_ROUNDS = 5  # number of alternating estimates of parameters and noise
-EXACT_CANDIDATES = 12  # number of the best candidates whose noise is estimated again
+EXACT_CANDIDATES = 12  # number of the best listed candidates whose noise is estimated again
 NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
 MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
 MAX_CAUSES = 3  # largest number of causes that are searched for

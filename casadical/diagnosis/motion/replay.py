@@ -190,8 +190,9 @@ class Replay(Result):
         )
 
     def _tables(self) -> Iterator[Table]:
-        """Yield the tables of errors without one effect at a time, of position, and of torque; of
-        given files of drive parameters; and of the identified response of each joint.
+        """Yield the report's tables, those of torque, friction laws and files where they exist.
+
+        The others are of errors without one effect at a time, of position, and of the response.
         """
         joints, r = self.runs[0].joints, self.response
         angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"

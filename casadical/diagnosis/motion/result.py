@@ -214,7 +214,7 @@ class LogDiagnosis(Result):
 
     @cached_property
     def torques(self) -> FrictionLaws | None:
-        """Return torque errors by model and friction law in held-out thirds; None without torques."""
+        """Return held-out torque errors by model and law; None without torque or signed current."""
         has_torque = self.log.torque is not None or (self.log.current is not None and not self.log.current_unsigned)
         return friction_laws(self.log, self.arm) if has_torque else None
 

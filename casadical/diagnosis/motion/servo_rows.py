@@ -88,8 +88,8 @@ class Replay:
         """Return simulated angles of variants, shape (samples, variants) [rad].
 
         joint : of each variant; x : parameters, shape (variants, PARAMETER_COUNT)
-        signals : load [N m], limit of friction [N m] and command [rad] beyond the base's, by name
-            "torque", "limit" and "position", of each variant
+        signals : of each variant, by name: load "torque" and "limit" of friction beyond the base's
+            [N m], and "position" error [rad], which is subtracted from the command
         capacity : largest position error that the servo acts on, shape (variants,) [rad]
         """
         out = [

@@ -21,7 +21,7 @@ WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
 DAILY_GROUP_SHARE = 0.13  # prior sigma of the relative daily change of a joint's group of frictions
 DAILY_JOINT_SHARE = 0.1  # prior sigma of the relative daily change of all frictions of a joint
 DAILY_CLOCK_S = 4e-3  # prior standard deviation of the change of all delays from log to log [s]
-# Prior standard deviations of the change of other coefficients from day to day, by kind.
+# Prior sigmas of other coefficients' daily changes, by name: delay [s], else by the peak torque.
 DAILY_SIGMAS = {"offset": 0.01, "scale": 0.003, "rotor": 0.01, "delay": 5e-4, "cold": 0.01, "cold viscous": 0.01}
 DAILY_FRICTION_SIGMA = 0.004  # prior sigma of a friction's daily change, divided by the peak torque
 DAILY_SERVO_SHARE = 0.1  # prior sigma of the daily change of coefficients of position errors, by their prior
