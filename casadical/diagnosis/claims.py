@@ -143,7 +143,7 @@ def with_additional_cause(found: CauseSet | None, state: State, seed: int) -> Ca
     """Return the set with the labels of one additional cause, if a listed one is detected.
 
     They are the most probable listed labels that no cause has, and are probable together (see
-    `Settings.min_doubtful`); else the set is returned unchanged, None if it is.
+    `Settings.min_doubtful`); else `found` is returned unchanged, also None.
     """
     last = state.rankings[-1]
     named_labels = {k for step in state.steps for k in step.labels}

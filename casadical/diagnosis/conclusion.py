@@ -226,7 +226,7 @@ def _outliers_as_cause(
 def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks: pd.DataFrame) -> Verdict:
     """Return the verdict by the search's end, the fraction of the gap explained, and time blocks.
 
-    rest : fraction of the gap that no named cause explains; found : whether any cause is named
+    rest : fraction of the gap that neither causes nor noise explain; found : if any cause is named
     shrinks : held-out errors as causes are added (see `course`)
     """
     if not state.steps and end in ("unknown", "ambiguous"):

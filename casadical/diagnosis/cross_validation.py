@@ -89,7 +89,7 @@ def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
 
 
 def partitions(e: Evidence, seed: int) -> list[Array]:
-    """Return random partitions, each the fold of every pose, shape (n,).
+    """Return partitions, random or by stop, each the fold of every pose, shape (n,).
 
     There are `Settings.partitions` of them, and one from 400 poses on. Where several targets share
     stops there is one, whose folds are the stops: a fifth of few stops is too many to predict.

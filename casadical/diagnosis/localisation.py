@@ -147,7 +147,7 @@ def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generato
 
 
 def _products(lever: Array, functions: Array) -> Array:
-    """Return the Jacobian by the coefficients of parameters that vary as linear in functions.
+    """Return the Jacobian by the coefficients of parameters that are linear in some functions.
 
     Its shape is (n, 3, levers * functions): the product of every lever and every function.
     lever : Jacobian by the parameters, shape (n, 3, levers)

@@ -332,7 +332,7 @@ def probability_after(share: float, gain: float) -> float:
 
 
 def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
-    """Return a text of the numbers of poses that repeat others, and by payload, approach, warmth.
+    """Return a text of how many poses repeat others, and by payload, approach, warmth, range, load.
 
     poses : table as of `next_poses`
     """

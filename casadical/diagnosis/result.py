@@ -360,9 +360,9 @@ class Diagnosis(Result):
     def remains(self) -> float:
         """Return the probability that the causes leave more than noise.
 
-        It is one if an additional cause is detected, if the remaining error exceeds the noise
-        floor, or if the noise has structure. Else it is the probability of an additional cause
-        given the named ones; without these, zero.
+        It is one if an additional cause is detected, if more than 5 % of the gap is unexplained
+        (`has_rest`), or if the noise has structure. Else it is the probability of an additional
+        cause given the named ones; without these, zero.
         """
         none = self.rankings[-1].none
         if none <= SETTINGS.max_p_nothing_further or self.has_rest or self.account.is_structure:

@@ -194,6 +194,7 @@ class State:
     def refined(self, ranking: Ranking, labels: Sequence[str], given: Sequence[Step]) -> tuple[Case, Step]:
         """Return case and step of the cause of the first label, with refined settings.
 
+        The step has no effects if no joint shows a cause of several joints.
         ranking : ranking from which it is taken; given : steps of the other causes in the model
         """
         label = labels[0]

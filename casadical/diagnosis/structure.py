@@ -255,9 +255,9 @@ class _WhitenedResidual:
     def _cycles(self) -> dict[int, tuple[float, ...]]:
         """Return the cycles per turn of the lines of each joint that are tested, by joint (1-based).
 
-        They are the best of all lines up to `MAX_LINE_CYCLES` by a screening that needs one inner
-        product over the poses for each, without what the fit absorbs of a line, and the whole
-        numbers next to them. The spacing is that which the range of the readings resolves.
+        They are the best eight of all lines up to `MAX_LINE_CYCLES` by a screening, one inner
+        product over the poses for each, that neglects what the fit absorbs of a line; and the whole
+        numbers next to them. The spacing is that which the range of the joint variable resolves.
         """
         serial, n = self._form.serial(len(self.squares)), len(self.squares)
         white = self.y.reshape(n, -1)

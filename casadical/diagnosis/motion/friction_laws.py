@@ -131,7 +131,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
 
     arm : with the gains and delays of its servos, if the torque follows from position errors
     floor : surface; rows in contact with it are excluded
-    None without all of: torque, current with its torque constant declared, commands with gains.
+    None if there is neither torque, nor current with a torque constant, nor commands with gains.
     """
     m = motion_of(log, arm, (FRICTION_MEMORY_RAD,))
     torque = m.torque if log.torque is not None or arm.per_ampere is not None else None

@@ -56,7 +56,7 @@ def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffe
 
 
 def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:
-    """Return the fitted base's `FRICTION_KINDS` of torque / peak torque, (samples, joints) each."""
+    """Return the fitted base's friction torques / peak torque, (samples, joints), by variable."""
     x, m, speed = problem.fit.x, log.motion, log.variables["speed"]
     slip, fall = np.sign(m.v), np.exp(-np.abs(m.v) / STRIBECK_SPEED_RAD_S)
     shapes = {"slip": slip, "loaded": slip * np.abs(log.variables["load"]), "dip": slip * fall}
