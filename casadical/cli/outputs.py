@@ -175,7 +175,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
-    """Check that an existing file is an earlier output of casadical. Raises InputError if not.
+    """Check that an existing file is an output of casadical, or empty. Raises InputError if not.
 
     remedy : end of the message
     """

@@ -320,7 +320,7 @@ class Compensator:
 
 
 def _apply(network: Network, data: Data) -> BeforeAfter:
-    """Return the position errors of poses without and with a network.
+    """Return statistics of the norms of position errors [mm], without and with a network.
 
     data : joint variables, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm]
     """

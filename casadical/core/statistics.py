@@ -14,7 +14,7 @@ Item = TypeVar("Item")
 # Largest difference from the greatest value at which a value is tied with it, relative or, for
 # logarithms, absolute. The first of tied values is taken, so that every processor gives the same
 # answer. Rounding changes a gain by up to 2.2e-7 of itself if the smallest eigenvalue of the
-# information is 1e-9 of a unit diagonal (docs/reference.md).
+# information is 1e-9 of a unit diagonal.
 TIE_TOLERANCE = 1e-6
 
 

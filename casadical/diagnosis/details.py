@@ -35,7 +35,7 @@ class Details:
     floor : mean held-out error by noise alone under the best model of the report [m]
     ruled_out : labels of causes that are ruled out, by multiple of their usual size (see
         `isolability.ruled_out`)
-    laws_skipped : whether no law was searched since only the size of the noise is in doubt
+    laws_skipped : whether none was searched: complete causes, only the noise's size in doubt
     """
 
     where: Localisation | None = None
@@ -68,8 +68,8 @@ def analyse(
     poses : number of poses to choose for the next measurements
     workspace : region in which the next poses may lie
     networks : whether to train networks, instead of the causes and in addition to them
-    laws : whether to search the expression of an unlisted effect; by default if the verdict is
-        unknown for more than the size of the noise
+    laws : whether to search the expression of an unlisted effect; None: if the verdict is unknown,
+        unless rows are distances, or causes are complete and only the noise's size is in doubt
     file : name of the file to which the next poses are written, for the report
     show : called with a line of progress
     Raises ConvergenceError: Ipopt finds no optimum.

@@ -225,9 +225,9 @@ class BaseParameters:
     still: Array
 
     def with_all_combinations(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
-        """Return a model for other poses, with all P base combinations, and these as columns.
+        """Return a model whose base has all P combinations, and these as columns, (P, P) [SI].
 
-        Combinations, (P, P) [SI], that move no pose are included. poses : indices of e's poses in J
+        Those that move no pose follow the k that `e` has, a model of the poses `poses` of J.
         """
         still = self.J[poses] @ self.still
         k = self.units.shape[1]

@@ -459,7 +459,7 @@ class Law(FormulaEffect):
         zero where all of them are
     station : position of the instrument in the measuring frame [m], for `beam` and `across`, where
         r is the range [m]
-    count : number of joints, for `joints`
+    count : number of the arm's joints, for `joints`
     towards : direction in which the target faces, in the flange frame, for `incidence`
     """
 
@@ -537,7 +537,7 @@ class Law(FormulaEffect):
         return tuple(dict.fromkeys([*names, *needed, *self.of_head]))
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that the arm has the joints of the law and, at `joints`, `count` of them.
+        """Check that the arm has the law's joints, and `count` in all if it acts at every joint.
 
         Raises InputError.
         """
@@ -546,20 +546,20 @@ class Law(FormulaEffect):
             raise InputError(f"law: count = {self.count}; robot {arm.name!r} has {arm.n} joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each factor by name, at `joints` a1, a2, ... by joint."""
+        """Return typical size and unit of each factor by name; for every joint: a1, a2, ..."""
         unit = SEAMS[self.seam].unit
         if self.seam != "joints":
             return {name: (size, unit) for name, size in self.factors}
         return {f"{name}{j}": (size, unit) for j in range(1, self.count + 1) for name, size in self.factors}
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Return the symbols of its factors by name; {} at `joints`, where they are by joint."""
+        """Return the symbols of the factors by name; {} if it acts at every joint, with its own."""
         return {name: self.value(context, name) for name, _ in self.factors} if self.seam != "joints" else {}
 
     def joint_angle(self, context: Context) -> Symbolic:
         """Return the change of the joint variables, shape (n,) [rad or m].
 
-        At `joint` it is at the law's own joint, at `joints` at every joint, else zero.
+        It is at the law's own joint for the insertion point `joint`, at all for `joints`, else zero.
         """
         moved = super().joint_angle(context)
         for j in range(1, context.arm.n + 1) if self.seam == "joints" else ():

@@ -38,7 +38,7 @@ USUAL_KINDS = ("joint_zero", "tool", "foot", "lengths")
 CRASH = "crash"
 # Kind of change that no parameter explains.
 UNKNOWN = "unknown"
-# Relative frequency of each kind of change between two days; only ratios count.
+# Frequency of each kind of change between two days, as a count, to which a fleet's may be added.
 CHANGE_FREQUENCY = {**{kind: float(RELATIVE_FREQUENCY[kind]) for kind in USUAL_KINDS}, CRASH: 2.0, UNKNOWN: 1.0}
 # Prior mean of the thermal growth of all lengths, where the temperature is logged [1/K].
 GROWTH_PER_K = 12e-6

@@ -146,10 +146,10 @@ class Touches(Result):
 
     @property
     def better(self) -> bool:
-        """Return whether a correction surely helps (0.95), by over 20 % of the error stated."""
+        """Return whether the correction is accepted: probably better, see `gain`, and by enough."""
         before, after, sure = self.gain
-        # A correction must be better with a probability of 0.95, and remove more than 20 % of the
-        # error that the file states.
+        # It must make the change smaller with a probability of 0.95, and the rms change smaller by
+        # more than 20 % of the rms error that the robot file states.
         return sure >= 0.95 and before - after > 0.2 * self.model.stated / MM_PER_M
 
     @cached_property
@@ -304,7 +304,7 @@ class Touches(Result):
         )
 
     def page(self) -> Page:
-        """Return the report of `casadical verify --touches --report`: verdict and control chart."""
+        """Return the page of `verify --touches --report`: verdict, and T2 / limit by day."""
         rows = self.rows()
         x = list(range(1, len(rows) + 1))
         colour = ["blue" if row[-1] == "yes" else "red" for row in rows]

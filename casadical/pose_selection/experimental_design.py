@@ -14,11 +14,11 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Information added to each parameter, times the number of candidates and divided by its information
-# from all of them and the fixed one; it keeps the information matrix of few poses invertible.
+# Information added to each parameter, as a share of its mean information per candidate (with the
+# fixed information); it keeps the information matrix of few poses invertible.
 RIDGE_OF_MEAN_INFORMATION = 1e-10
 # Smallest ratio of the information's determinants without and with a pose at which the pose may be
-# removed. Rounding decides how far below an indispensable pose is, so that all are equal.
+# removed. Poses below are indispensable; rounding decides how far below, so all count alike.
 MIN_DETERMINANT_RATIO = 1e-6
 
 

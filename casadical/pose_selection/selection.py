@@ -171,8 +171,9 @@ class Selection(DesignProblem, Shown):
     def _covariance(self) -> Array:
         """Return the expected covariance of the p parameters in units of scale, (p, p).
 
-        With the noise covariance N of each pose it is H J'N J H, H = (J'J)^-1; with a prior of
-        information P and a mean variance s^2 it is H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
+        It is H (sum J'N J / s^4 + P) H, H = (sum J'J / s^2 + P)^-1, N each pose's noise covariance,
+        s^2 their mean variance, P the prior's information; with an instrument, the inverse of the
+        information of its readings, its unknown places included.
         """
         if self.instrument is not None:
             rows = self.instrument.rows(self.robot, self.names, self.m, self.noise)

@@ -173,7 +173,7 @@ class CampaignDiagnosis(Result):
     def analysed(self, **asked: Any) -> CampaignDiagnosis:
         """Return the diagnosis with its `details` computed by `casadical.diagnosis.analyse`.
 
-        asked : arguments of that function. Raises ConvergenceError.
+        asked : arguments of that function but `laws`, an option. Raises ConvergenceError.
         """
         return replace(self, details=analyse(self.diagnosis, laws=self.options.laws, **asked))
 

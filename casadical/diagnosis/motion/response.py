@@ -516,7 +516,7 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
     steps, pieces = (max(p.command.shape[k] for p in problems) for k in (0, 1))
 
     def wide(of: Callable[[_Problem], Array]) -> Array:
-        """Return an array of all problems, padded with zeros and concatenated along the joints."""
+        """Return an array of all problems, (steps, pieces, all joints), padded with zeros."""
         parts = [np.pad(of(p), ((0, steps - len(of(p))), (0, pieces - of(p).shape[1]), (0, 0))) for p in problems]
         return np.concatenate(parts, axis=2)
 

@@ -25,7 +25,7 @@ DAILY_CLOCK_S = 4e-3  # prior standard deviation of the change of all delays fro
 DAILY_SIGMAS = {"offset": 0.01, "scale": 0.003, "rotor": 0.01, "delay": 5e-4, "cold": 0.01, "cold viscous": 0.01}
 DAILY_FRICTION_SIGMA = 0.004  # prior sigma of a friction's daily change, divided by the peak torque
 DAILY_SERVO_SHARE = 0.1  # prior sigma of the daily change of coefficients of position errors, by their prior
-BASE_TORQUE_NOISE = 0.01  # typical noise of a torque, divided by the peak torque
+BASE_TORQUE_NOISE = 0.01  # typical sigma of a torque's noise / peak torque, see `log_view`
 BASE_TIME_ERROR_S = 5e-4  # time shift of the motion that gives the typical noise of angles [s]
 
 

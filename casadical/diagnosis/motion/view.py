@@ -32,7 +32,7 @@ class LogView:
     """Residuals of a log by the arm's nominal model, and the variables on which causes depend.
 
     motion, arm : signals of the log; bodies and drives
-    peak_torque : peak torque of each joint, shape (joints,) [N m]
+    peak_torque : peak torque of each joint, see `log_view`, shape (joints,) [N m]
     torque : torque residual divided by peak torque, shape (samples, joints)
     response : residual of the position error, shape (samples, joints) [rad]; None unless both
         torques and commands were logged

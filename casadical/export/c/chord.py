@@ -110,10 +110,9 @@ class _Step:
         return _factored(casadi.mtimes(J, J.T) + self.damping * SX.eye(J.shape[0]), self.damping / 2)
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
-        """Return the joint step (n,) for a residual r (m,) [m], and the squared error [m^2].
+        """Return the joint step (n,) for a residual r (m,) [m], and its squared norm [m^2].
 
-        Where not all directions can be moved, the error is that of the reachable part, J times the
-        step.
+        Unless the tool moves in all directions, it is that of the reachable part, J times the step.
         """
         J = casadi.reshape(factors[: self.m * self.n], self.m, self.n)
         moved = casadi.mtimes(J.T, _solved(*_factors_of(factors[self.m * self.n :], self.m), r))
@@ -153,7 +152,7 @@ class _PositionFirst(_Step):
         return casadi.vertcat(casadi.vec(J), _packed(L, inverse), _packed(M, inverse_o), casadi.vec(back)), weakness
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
-        """Return a joint step, (n,) [rad or m], and the squared error in reached directions [m^2].
+        """Return the joint step, (n,) [rad or m], and the squared norm of r's reachable part [m^2].
 
         factors : vector of `factored` at these joints
         r : residual of position and, times a length, of orientation, shape (6,) [m]

@@ -19,7 +19,7 @@ DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
 # Length of a time step from which on it is a gap with lost samples, as a multiple of the median
 # step.
 MIN_GAP_STEPS = 1.5
-# Minimum range of a joint's positions [rad or m] with which it counts as moving.
+# Minimum range, or standard deviation, of the positions of a moving joint [rad or m].
 MIN_MOVEMENT = 1e-4
 
 

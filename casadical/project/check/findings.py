@@ -97,7 +97,7 @@ def data_findings(robot: Robot, m: Measurements, table: Measurements, *, repeate
     """Return the findings on one table that is fitted.
 
     m : the fitted poses
-    table : the whole table, with held-out poses, where there is only one
+    table : poses whose clock is checked: the only table with its held-out poses, or else m
     repeated_readings : whether an earlier table had the same readings, so that findings on them are
         omitted
     """

@@ -262,7 +262,7 @@ def _with_joints(target: Target, q: Array | None) -> CorrectedTarget:
 def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> CorrectedTarget:
     """Return a target with the joints that reach it in the program's arm configuration and turns.
 
-    Its status is the reason if there are no such joints, or several.
+    Its status is the reason if the program states no configuration, or no or several joints fit.
 
     flange : pose of the flange in the robot's own base frame, shape (4, 4) [m]
     """

@@ -171,7 +171,7 @@ class _Frames:
                     self.chosen[what][pick.meta.line] = str(words(pick, "NUMBER")[0])
 
     def _read(self, name: str, line: int, right: Tree[Token]) -> None:
-        """Store an assignment if it defines or selects a tool or base frame.
+        """Store an assignment that defines a tool or base, or selects one for program or point.
 
         name : variable in upper case; line : line number; right : assigned value
         """

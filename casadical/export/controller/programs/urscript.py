@@ -187,7 +187,7 @@ class _Program:
         return _listed(value)
 
     def targets(self) -> list[Target]:
-        """Return the targets in the order of the text."""
+        """Return the targets in the order of the text, those that must stay unchanged included."""
         made = list(self.made)
         named = Counter(str(t) for t in self.tokens if t.type == "NAME")
         for name, variable in self.variables.items():
