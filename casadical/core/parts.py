@@ -475,7 +475,7 @@ class Arm:
 
 
 def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
-    """Check that a four-bar drives a revolute joint from its parallel neighbour.
+    """Check that a four-bar connects two successive revolute joints with parallel, distinct axes.
 
     number : number of the four-bar, from 1, for the message
     Raises InputError, also where two four-bars drive one joint.

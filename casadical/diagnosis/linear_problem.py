@@ -292,7 +292,7 @@ class Case:
     def with_sizes(self, effect: Effect, factors: Mapping[int, float], noise: Noise) -> tuple[Case, Effect]:
         """Return the case and the effect with other prior sizes of the effect's parts.
 
-        factors : factor on the prior size of each part
+        factors : factor on the prior size of each part, by its key in `effect.parts`
         noise : noise at which the priors hold from now on; only the points of `RHO_GRID` next to
             its ratio are evaluated
         """
@@ -403,7 +403,7 @@ def make_case(
     """Return the case of an identification on its own measurements.
 
     candidates : possible causes; those whose columns were not logged are listed in `Case.missing`
-    free : see `Case`
+    free : labels of the robot's effects that are free in the base model
     ratios : noise of the sets' lengths and angles, by default that of the base fit
     """
     robot, sets = identification.given, identification.measurements

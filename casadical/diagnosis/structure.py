@@ -88,11 +88,12 @@ def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = N
 def shown_by(
     case: Case, columns: Array, noise: Noise, form: Form
 ) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
-    """Return periodic joint errors (lines) in the residual of a fit, and the times of its jumps.
+    """Return periodic joint errors (lines) in the residual of a fit, and the times of its steps.
 
-    A line is a joint (1-based) and cycles per turn. Times, two at most and 0 to 1 over the
-    campaign, are those of significant steps by an event (slip, jump) among the candidates; every
-    pose is tried. The arguments are those of `remainder_of`.
+    A line is a joint (1-based) and cycles per turn; a joint's best one comes with its aliases.
+    Times, two at most and 0 to 1 over the campaign, are those of significant steps by an event
+    (slip, jump) among the candidates. Up to 600 poses are tested, or the first 4000 under
+    autocorrelated noise. The arguments are those of `remainder_of`.
     """
     kinds = {c.label: c.variants[0][0] for c in case.candidates if getattr(c.variants[0][0], "event", 0) == 1}
     residual = _WhitenedResidual(case, columns, noise, form)
@@ -410,7 +411,8 @@ class _WhitenedResidual:
     def _frames(self) -> Mapping[str, Array]:
         """Return axes in the measuring frame as columns at the poses, shape (n, numbers, 3).
 
-        Keys are the axes' names, separated by ", "; empty for other measurements than positions.
+        Rows beyond the position's three are zero. Keys are the axes' names, separated by ", ";
+        there are none unless one set with positions was measured (see `Case.vectors`).
         """
         if self.case.vectors is None:
             return {}
@@ -427,7 +429,7 @@ class _WhitenedResidual:
     def _isotropic(self) -> bool:
         """Return whether the residual is equally large along all axes of every frame.
 
-        It is Mauchly's test of sphericity; True without positions and under autocorrelated noise.
+        It is Mauchly's test of sphericity; True without `_frames` and under autocorrelated noise.
         """
         n = len(self.squares)
         y = self.y.reshape(n, -1)[:, :3]

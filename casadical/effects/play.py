@@ -46,11 +46,11 @@ class Backlash(Effect):
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the shift of the joint towards the flank in contact [rad].
+        """Return the shift of the joint towards the flank in contact [rad], by load and approach.
 
         It lies between plus and minus the parameter `half`. q : variable of the joint, not used
         """
-        # Friction holds the link behind its last motion.
+        # Friction holds the link behind its last motion: it opposes the direction of approach.
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
 

@@ -148,9 +148,9 @@ def _candidate(
 
 
 def _usual_size(kind: str, p: Parameter) -> float:
-    """Return the usual size of a parameter's change in a candidate of this kind [SI]."""
+    """Return the usual size of a parameter's change [SI]; kind : that of a `Candidate`."""
     if p.group == "compliance":
-        # Usual size of a change of a compliance, divided by the compliance.
+        # It is 30 % of the compliance, and at least a tenth of the prior standard deviation.
         return max(0.3 * abs(p.value), 0.1 * p.prior)
     if p.group == "joint_error_curve":
         # Usual size of a change of one harmonic's coefficient of a joint's error curve [rad].
@@ -164,9 +164,8 @@ def _usual_size(kind: str, p: Parameter) -> float:
         return USUAL_MOUNTING_CHANGE
     # The usual size of a change is the prior standard deviation of its amplitude, up to a factor
     # kappa on the grid `KAPPAS`. Tool, base, harmonics, compliances and effects have sizes of their
-    # own. Usual size of a change of one length of the geometry [m].
+    # own; these are of one length or angle of geometry or loops.
     usual_length_change_m = 3e-4
-    # Usual size of a change of one angle of the geometry [rad].
     usual_angle_change_rad = 3e-4
     return usual_length_change_m if p.unit == "m" else usual_angle_change_rad
 

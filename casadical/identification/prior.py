@@ -152,8 +152,8 @@ class Prior(Shown):
     def to_json(self, sets: Sequence[Measurements]) -> dict[str, Any]:
         """Return the prior for JSON, with the shares of poses outside of its ranges.
 
-        The keys are campaign, effects, parameters (their number), frozen, same_data (whether it
-        was learnt from these sets) and uncovered (name -> share).
+        Keys: campaign, effects (labels), parameters (number of free ones), frozen (whether all are
+        fixed), same_data (see `learnt_from`) and uncovered (joint or column -> share, 0 to 1).
         """
         uncovered = {name: round(share, 4) for name, share in self.uncovered(sets).items()}
         return {**plain(self), "same_data": self.learnt_from(sets), "uncovered": uncovered}

@@ -76,7 +76,7 @@ class Question:
     text : the question
     choices : possible answers in words, each with the columns that it means; the most probable
         first
-    about : "orientation", "observation" or "layout", which the robot's model orders; else empty
+    about : "orientation", "observation" or "layout", whose choices the robot's model ranks; else ""
     """
 
     text: str
@@ -167,10 +167,10 @@ def understand(
     questions: list[Question] = []
 
     def decide(options: _Options, which: str, about: str = "", ask: bool = False) -> None:
-        """Add the columns of the only possible meaning, or a question if there are several.
+        """Add the columns of the only possible meaning and unit; with several, add a question.
 
-        which : text of the question; about : its topic; ask : whether it is asked for a single
-            option, too
+        which : the question, if more than the unit is open; about : as of `Question`; ask :
+            whether it is asked for a single option, too
         """
         choices = _choices(options, stated, which if ask else "")
         if len(choices) == 1 and not ask:

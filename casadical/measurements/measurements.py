@@ -48,8 +48,8 @@ SETS = ("identify", "train", "choose", "report")
 
 # Largest difference of each joint's variable [rad or m] with which two poses count as the same.
 SAME_READING_TOLERANCE = 1e-6
-# Largest difference of each joint's variable [rad or m] between measurements of several targets at
-# one pose of the robot, which stands still.
+# Largest difference of each joint's variable [rad or m] between measurements at one pose: of
+# several targets, or repeated (acceptance, daily touches).
 STANDSTILL_TOLERANCE = 5e-4
 # Largest width of a cell of equal readings (`same_readings`), as a multiple of the tolerance, where
 # sorted readings have no gaps.

@@ -222,9 +222,9 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def reading_error(self) -> float | None:
-        """Return the expected rms residual of positions measured over the task, with noise [m].
+        """Return the expected rms distance of measured from predicted points over the task [m].
 
-        It is None for wires and sockets.
+        It includes the measurement's noise. It is None for wires and sockets.
         """
         if self.instrument is not None:
             return None

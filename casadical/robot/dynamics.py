@@ -229,10 +229,9 @@ def _deformed_numbers(body: Body, coordinates: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunction:
-    """Return the function of regressor or torque over many states (q, v, a), shape (3 n, N).
+    """Return the function from N states (q, v, a), (3 n, N), to [Y], (n, 11 n N), or [tau], (n, N).
 
-    Its shared inputs are pi (for the torque only), the robot's parameters, and gravity.
-
+    Shared inputs are pi (torque only), the robot's parameters, and gravity in its base frame.
     what : "regressor" or "torque"
     """
     point, geometry, gravity, Y = _expressions(structure, couplings)

@@ -148,7 +148,7 @@ def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
     joints: dict[str, dict[str, str]] = {}
 
     def read_bodies(body: ET.Element, inherited: str) -> None:
-        """Store the attributes of all joints of a body and those below it."""
+        """Store the attributes of all joints of a body and below it; inherited : default class."""
         inherited = body.get("childclass", inherited)
         for joint in body.findall("joint"):
             default = defaults.get((joint.get("class", inherited), "joint"), {})

@@ -54,7 +54,7 @@ START_NOISE_FACTOR = 2.0  # noise at the start of the base's fit, divided by the
 START_FRICTION_FACTORS = (1.0, 3.0)  # frictions at the start of the base's fit / their prior median
 MAX_STEPS = 12  # largest number of Levenberg-Marquardt steps of the base's fit with one noise
 MIN_COST_DECREASE = 0.1  # decrease of the cost below which the fit ends
-COLUMN_SCALES = (0.3, 1.0)  # sizes of a cause, in typical ones, at which its columns are computed
+COLUMN_SCALES = (0.3, 1.0)  # factors on a cause's typical size for its columns; of many parameters the last
 VARIANTS_PER_BATCH = 500  # number of variants that are simulated at once
 CAPACITY_SHARES = (0.5, 0.7, 0.85, 0.95)  # tried torque limits, divided by the largest torque
 

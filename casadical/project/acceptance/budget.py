@@ -158,9 +158,9 @@ class Budget:
         return f"<= {mm(self.error + self.expanded)} mm"
 
     def u(self, line: Contribution | None = None) -> float:
-        """Return the standard uncertainty of E, or the share of one line in it [m].
+        """Return the standard uncertainty of E, or the contribution of one line to it [m].
 
-        It is NaN where E is not resolved.
+        Contributions add in squares. It is NaN where E is not resolved.
         """
         size = self.u_square if line is None else line.u
         return size / (2 * self.error) if self.resolved else float("nan")

@@ -180,7 +180,7 @@ def _number(row: Mapping[str, Any], key: str, where: str) -> float | None:
 
 
 def _word(row: Mapping[str, Any], key: str) -> str:
-    """Return a cell as a lower-case word; empty where the cell or the column is missing."""
+    """Return a cell as a lower-case word, "1.0" as "1"; empty where cell or column is missing."""
     value = row.get(key, "")
     return "" if isinstance(value, float) and math.isnan(value) else str(value).strip().lower().removesuffix(".0")
 
