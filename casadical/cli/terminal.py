@@ -34,7 +34,7 @@ TABLE_WIDTH_WITHOUT_TERMINAL = 120
 EXIT_BAD_INPUT = 2
 # Exit code where the solver found no optimum.
 EXIT_NO_CONVERGENCE = 3
-# Exit code where held-out poses are worse than before the calibration.
+# Exit code where errors of held-out poses have grown in the calibration by more than chance.
 EXIT_WORSE = 4
 # Exit code where a robot is no longer valid or has changed, where touches do not decide that, or
 # where campaigns differ in a way that is unexplained.

@@ -328,7 +328,7 @@ _RANGE_BY_NAME = {
     "memory": (-1.0, 1.0),
     HEAD_NAME: (-1.0, 1.0),
 }
-# Lower and upper value with which formulas are checked, of angles, lengths and parameters [SI].
+# Lower and upper value [SI], in checks of formulas, of parameters and variables without own range.
 _DEFAULT_RANGE = (-4.0, 4.0)
 
 

@@ -86,10 +86,7 @@ class Common:
 
     @property
     def faults(self) -> tuple[tuple[str, float, float], ...]:
-        """Return (name, mean deviation, standard error) of parameters wrong in the drawing.
-
-        The figures are in units of the scale.
-        """
+        """Return (name, mean deviation, std error) [scale] of parameters wrong in the drawing."""
         far = (np.abs(self.mean) > MIN_FAULT_SIGMAS * self.std_error) & (np.abs(self.mean) > MIN_FAULT_SIZE)
         return tuple((self.names[k], float(self.mean[k]), float(self.std_error[k])) for k in np.flatnonzero(far))
 

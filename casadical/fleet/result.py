@@ -162,8 +162,8 @@ class Fleet(Result):
     def prior_files(self, folder: str | Path) -> dict[Path, str]:
         """Return for each type of `commons` the text of a robot file, by its path TYPE.robot.toml.
 
-        The file has the mean of the type's robots and their spread as covariance. It is the prior
-        of a robot that is still to be measured.
+        The file is the prior of a robot that is still to be measured: it has the mean of the type's
+        robots, and as covariance the variance between them plus that of the mean (`prior_of`).
 
         folder : folder of the paths; nothing is written
         """

@@ -33,17 +33,17 @@ from casadical.measurements.camera_noise import (
 from casadical.measurements.corners import CameraErrors
 from casadical.measurements.measurements import Measurements
 
-# Error of the camera -> prior probability, prior standard deviations, and what else it takes to tell it.
+# Error of the camera -> prior probability, prior standard deviations, poses that would show it.
 _CAUSES: dict[str, tuple[float, tuple[float, ...], str]] = {
     "focal length": (0.3, (0.001, 0.003, 0.01), "stations at half and at twice the distance"),
     "scale of the board": (0.15, (0.001, 0.003, 0.01), "a calliper on the board"),
     "distortion": (0.15, (0.01, 0.05), "stations with the board in the image's corners"),
 }
-# Sizes of the arm's departures, over which the posterior is averaged [mm and mrad].
+# Prior sigmas of the arm's departures, over which the posterior is averaged [mm, mrad].
 _DEPARTURE_SIZES = np.geomspace(0.03, 10.0, 18)
-# Factors on the noise, over which it is averaged, too.
+# Factors on the sigmas of the noise, over which the posterior is averaged, too.
 _NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
-# Probability from which a side is said to be wrong or right.
+# Probability from which arm or camera is reported as wrong (or as right), and a step as sure.
 _CONFIDENCE = 0.9
 # Where the camera is -> what may have moved, by the group of the frame that changed.
 _MOVED = {
@@ -54,10 +54,10 @@ _MOVED = {
 
 @dataclass(frozen=True)
 class Share(Shown):
-    """What one side contributes to the errors of the target's place in the camera, with base and tool fitted.
+    """Error of the target's position in the camera that arm or camera causes, base and tool fitted.
 
-    size, low, high : posterior median of the root mean square over the poses, and its 95 % interval [m]
-    probability : that it exceeds a quarter of the camera's noise
+    size, low, high : posterior median of its rms over the poses [m], and 95 % interval [m]
+    probability : posterior probability that it exceeds a quarter of the camera's noise
     """
 
     line: ClassVar[str] = " {{ it.in_words() }}"
@@ -74,11 +74,12 @@ class Share(Shown):
 
 @dataclass(frozen=True)
 class CameraError(Shown):
-    """An error of the camera: relative for focal length and scale of the board; the coefficient k1 of distortion.
+    """An error of the camera: relative for focal length and board's scale, else the coefficient k1.
 
     name : "focal length", "scale of the board" or "distortion"
-    value, low, high : posterior median given that it exists, and 95 % interval [-]
-    probability : that it exists; tellable : whether the posterior is narrower than half of the prior
+    value, low, high : posterior median given that it exists, and 95 % interval, dimensionless
+    probability : posterior probability that it exists
+    tellable : whether its posterior standard deviation is below half of the mean prior one
     """
 
     line: ClassVar[str] = " {{ it.name }}"
@@ -101,8 +102,8 @@ class CameraError(Shown):
 class Moved(Shown):
     """What moved at once between two poses.
 
-    what : camera, board or pedestal; before, after : rows of the poses; probability : that something moved
-    shift, turn : how far [m], and by what angle [rad]
+    what : camera, board or pedestal, in words; before, after : rows of the two poses in the table
+    probability : that something moved; shift, turn : how far [m], and by what angle [rad]
     """
 
     line: ClassVar[str] = " {{ it.in_words() }}"
@@ -135,13 +136,13 @@ class Moved(Shown):
 class ArmOrCamera(Shown):
     """Which of arm and camera is wrong, by how much.
 
-    total : root mean square of the errors with the nominal arm, base and tool fitted [m]
-    noise : that of the camera's noise [m]; arm, camera : what they contribute
-    errors : of the camera; parameters : of the arm that contribute most
-    moved : most probable step of camera, board or pedestal; what is said of arm and camera is without it
-        where it is sure
+    total : rms position error of the target with the nominal arm, base and tool fitted [m]
+    noise : rms of the camera's noise in this error [m]; arm, camera : their contributions to it
+    errors : of the camera; parameters : names of at most two of the arm that contribute most
+    moved : most probable step of camera, board or pedestal, None where no step was sought; from a
+        probability of `_CONFIDENCE` on, arm and camera are judged without it
     ratios, sigmas : the camera's noise, and its sigmas of lengths [m] and angles [rad]
-    sure : errors of the camera that are sure, zero where they are not; None without any
+    sure : errors that are probable enough to be removed, others zero; None without any
     """
 
     line: ClassVar[str] = " {{ it.in_words() }}"
@@ -252,7 +253,7 @@ def evidence_of(found: Identification, camera: Camera) -> tuple[float, CameraNoi
     r, J = _linear(found)
     view = replace(found.problem.sets[0], camera=camera).view
     noise, sigmas = CameraNoise(distance=float(np.median(lines_of_sight(view, CameraNoise())[1]))), (1e-3, 1e-3)
-    for last in [False] * 8 + [True]:  # by then they have settled
+    for last in [False] * 8 + [True]:  # by then the estimates have converged
         W = whitening(view, noise) / np.repeat(sigmas, 3)[:, None]
         Q, triangle = np.linalg.qr((W @ J).reshape(r.size, -1))
         y = (W @ r[:, :, None]).ravel()
@@ -283,11 +284,11 @@ class _Model(NamedTuple):
     names: Array
 
     def settled(self, noise: CameraNoise, sigmas: tuple[float, float]) -> ArmOrCamera:
-        """Return the answer with the noise estimated by weighted fits and variance components.
+        """Return the answer with the noise estimated in four rounds (see `refined`).
 
-        noise, sigmas : first estimate
+        noise, sigmas : first estimate, as of `refined`
         """
-        for _ in range(4):  # by then they have settled
+        for _ in range(4):  # by then the estimates have converged
             noise, sigmas = self.refined(noise, sigmas)
         return self.answer(noise, sigmas)
 
@@ -333,11 +334,10 @@ class _Model(NamedTuple):
         return Moved(_MOVED[self.m.camera][group], *rows, probability, float(shift), float(turn)), group
 
     def whitened(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[Array, Array, Array]:
-        """Return whitened residuals (6 n,), columns of frames (6 n, f), of arm and camera (6 n, k).
+        """Return whitened residuals (6 n,), columns of frames (6 n, f), of errors (6 n, k + 4).
 
-        Columns of the camera: depth and tilt by a relative error of the focal length,
-        the board's scale, and its displacement by a radial distortion. Of corners in images, they are those of the
-        reprojection errors, the first with the tilt, and four rows more are of what the camera alone explains.
+        The errors are those of the arm and, in the last four columns, `CameraErrors`. With corners
+        in images four rows are appended, of the latter alone: C and c of `Images.reduced`.
         """
         view = self.m.view
         W = whitening(view, noise) / np.repeat(sigmas, 3)[:, None]
@@ -352,9 +352,11 @@ class _Model(NamedTuple):
         return np.append(y, pixel * c), np.pad(frames, ((0, len(C)), (0, 0))), np.vstack([rest, more])
 
     def refined(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[CameraNoise, tuple[float, float]]:
-        """Return ratios and sigmas of the noise by the residuals of frames, arm and camera.
+        """Return better estimates of the camera's noise and of its sigmas, from residuals of a fit.
 
-        The prior size of the arm's departures is estimated, too (expectation maximisation).
+        Frames, arm and camera errors are fitted, and the prior sigma of the arm's departures
+        (expectation maximisation).
+        noise, sigmas : estimates so far; sigmas of lengths [m] and of angles [rad]
         """
         y, frames, rest = self.whitened(noise, sigmas)
         A, size = np.hstack([frames, rest]), 1.0
@@ -429,9 +431,9 @@ class _Model(NamedTuple):
 
 
 def _share(samples: Array, noise: float) -> Share:
-    """Return median, 95 % interval and probability of relevance of an error of a side.
+    """Return median, 95 % interval and probability of relevance of the error of arm or camera.
 
-    samples : of its posterior, rms over the poses [m]; noise : 4 times a relevant error [m]
+    samples : posterior samples of its rms over the poses [m]; noise : rms noise of the camera [m]
     """
     low, median, high = (float(v) for v in np.quantile(samples, [0.025, 0.5, 0.975]))
     return Share(median, low, high, float(np.mean(samples > noise / 4)))

@@ -206,7 +206,7 @@ class Identification(Result):
         return places
 
     def bars(self) -> list[tuple[str, float]]:
-        """Return (label, error [m]) for a bar chart: mean and 95th percentile of each used set."""
+        """Return (label, error [m]) of bars: mean and 95th percentile of each set's inliers."""
         each = [(m.kind, summarise(errors(self.robot, m))) for m in self.used]
         return [bar for kind, a in each for bar in ((f"{kind}, mean", a.mean), (f"{kind}, 95 % below", a.p95))]
 

@@ -178,7 +178,7 @@ def _keys(a: RawTable, b: RawTable) -> list[tuple[str, str]]:
 
 
 def _labels(cells: pd.Series) -> list[str] | None:
-    """Return cells as labels of poses, if they are different words or whole numbers; else None."""
+    """Return cells as labels of poses: words or whole numbers that are not all equal; else None."""
     numbers = numbers_of(cells)
     if np.isfinite(numbers).all():
         return [f"{n:.0f}" for n in numbers] if (numbers == numbers.round()).all() and np.ptp(numbers) else None
@@ -196,7 +196,7 @@ def _merged(a: RawTable, b: RawTable, left: str, right: str) -> pd.DataFrame:
 
 
 def _time(raw: RawTable) -> str:
-    """Return the first column of times that never decrease; empty if there is none."""
+    """Return the name of the first column of times that never decrease; empty if there is none."""
     words = {n: words_of(n)[0] for n in raw.header}
     named = [n for n, w in words.items() if w == ["t"] or ({*w} & WORDS["time"] and not {*w} & WORDS["about"])]
     some = [n for n in named if (np.diff(in_seconds(raw.frame[n])) >= 0).all()]
@@ -204,7 +204,10 @@ def _time(raw: RawTable) -> str:
 
 
 def _seconds(raw: RawTable, name: str) -> Array:
-    """Return the times of a column [s]; without a unit, ms, us or ns follow from their size."""
+    """Return the times of a column [s].
+
+    Without a unit, times as large as those since 1970 in ms, us or ns are taken to be in these.
+    """
     seconds = in_seconds(raw.frame[name])
     unit = words_of(name)[1]
     factor = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)

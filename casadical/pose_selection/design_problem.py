@@ -73,7 +73,8 @@ class DesignProblem:
     def design(self, pool: Candidates, min_distance: float | None) -> Design:
         """Return the initial state of a search over a pool, with no candidate chosen.
 
-        min_distance : as of `select_poses`
+        min_distance : smallest distance between two poses, also measured ones, as a fraction of the
+            range of the joint that differs most; None: a pose may be chosen more than once
         """
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
@@ -258,7 +259,7 @@ def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[
 
     They are in units of scale.
 
-    interest : parameters, as of `select_poses`; names : the p parameters that will be identified
+    interest : names, groups, labels or patterns; names : the p parameters that will be identified
     Raises InputError: none of the parameters of interest will be identified.
     """
     words = tuple(interest)

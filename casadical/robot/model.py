@@ -293,9 +293,9 @@ def rigid_context(
 def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]) -> Symbolic:
     """Return gravity in the robot's base frame, shape (3,) [m/s^2].
 
-    Of logged gravity only the direction is used; its magnitude is the declared one.
+    Logged gravity is in the base frame; only its direction is used, with the declared magnitude.
 
-    T_M0 : base frame in the measuring frame, shape (4, 4) [m]
+    T_M0 : base frame in the measuring frame, shape (4, 4) [m], for gravity declared in the latter
     """
     gravity = ca.DM(arm.gravity)
     if arm.gravity_frame == "logged":

@@ -53,7 +53,7 @@ class State:
     def weights(self) -> tuple[Array, Array]:
         """Return the masses of links and payload, (joints + 1, n) [kg], and their mass centres.
 
-        The centres are in the measuring frame, shape (joints + 1, n, 3) [m].
+        The centres at the n poses are in the measuring frame, shape (joints + 1, n, 3) [m].
         """
         plant, payload = self.plant, self.stops.payload_kg * self.plant.payload_factor
         mass = np.vstack([np.repeat(plant.mass[:, None], len(self.stops), 1), payload])

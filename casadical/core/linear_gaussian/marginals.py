@@ -30,7 +30,7 @@ NO_COLUMNS = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A model with some groups of columns in it: what is needed to judge additional groups.
+    """A model with some groups of columns in it, as is needed to judge additional groups.
 
     It extends a model with fewer groups (`before`) and stores only what that one does not.
 
@@ -240,9 +240,9 @@ class Marginals:
         return Chosen(log_base, columns, new, combined, before, at, V, b)
 
     def _prepare(self, chosen: Chosen, groups: Sequence[Array]) -> None:
-        """Store V and b (see `Chosen`) of the groups' columns in `chosen`, at all points `near`.
+        """Cache V and b (see `Chosen`) of those columns of the groups that `chosen` has not cached.
 
-        groups : indices of the columns of each group; those that are stored are not computed again
+        groups : indices of the columns of each group; the grid points are `LinearModel.near`
         """
         near, P, before = self.model.near, self.model.J.shape[2], chosen.before
         # Columns in the model are prepared too: a group may share some with them.

@@ -76,7 +76,7 @@ class _Fitted:
         )
 
     def _rich(self, *, one_line: bool) -> RenderableType:
-        """Return the table as one of rich; one_line : whether numbers must not wrap."""
+        """Return the table for the library rich; one_line : whether numbers must not wrap."""
         from rich import table as rich
         from rich.text import Text
 

@@ -214,7 +214,7 @@ class LawProblem:
         return laws
 
     def refined(self, found: ScoredLaw, poses: Array | slice = slice(None)) -> ScoredLaw:
-        """Return the law with settings of more evidence; its score rises by the same.
+        """Return the law with nearby settings of more evidence; its score rises by the same.
 
         poses : indices of the problem's poses among those of the law
         """
@@ -234,7 +234,7 @@ class LawProblem:
         return replace(found, settings=settings, score=score, evidence=evidence, noise=noise)
 
     def with_errors(self, found: ScoredLaw) -> ScoredLaw:
-        """Return the law with standard errors of its settings: the evidence falls by half a nat."""
+        """Return the law with standard errors of its settings: steps that cost half a nat."""
         sigmas = np.full(len(found.settings), np.nan)
         for step in (0.1, 0.05, 0.025, 0.012, 0.006, 0.003) if len(sigmas) else ():
             near = found.candidate.near(found.settings, step)
@@ -257,9 +257,9 @@ def _batches(candidates: Sequence[LawCandidate]) -> Iterator[list[LawCandidate]]
 
 
 def descriptions(case: Case) -> list[LawCandidate]:
-    """Return the smooth functions of every state variable at every place, with prior shares.
+    """Return a smooth function of each state variable that varies, at each place where it can act.
 
-    Their columns are at the inlier poses.
+    Their prior shares follow `prior_weight` and sum to one; their columns are at the inlier poses.
     """
     assert isinstance(case.whole.E, EffectColumns)
     variables = state_variables(case.given)

@@ -27,8 +27,8 @@ REMOVALS: Mapping[str, Callable[[Response], Response]] = {
 }
 # The sentence names the effects and joints that together have this fraction of all costs.
 NAMED_SHARE = 0.8
-# An effect counts as having no cost if its removal raises the mean square error by less than this
-# fraction of it.
+# An effect counts as having no cost if its removal raises the mean square error, summed over the
+# joints, by less than this fraction of that with all effects.
 NEGLIGIBLE_RISE = 0.1
 
 

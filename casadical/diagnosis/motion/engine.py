@@ -37,9 +37,10 @@ MIN_EVIDENCE = 30.0  # smallest log evidence [nats] with which a cause enters th
 # the base.
 DOUBTFUL_CAUSES = frozenset(["play", "warm_up", "link_mass", "torque_constant"])
 MIN_FIT_EVIDENCE = 40.0  # smallest log evidence [nats] of a cause that fits
-# The same of further causes: an earlier one whose formula is not exact leaves a part of its effect.
+# Smallest log evidence [nats] of a further cause that fits (an earlier one whose formula is inexact
+# leaves a part of its effect), and of the first cause where no torque was logged.
 MIN_FURTHER_EVIDENCE = 60.0
-MIN_FIT_PROBABILITY = 0.95  # smallest probability of a cause that fits, and its twins
+MIN_FIT_PROBABILITY = 0.95  # smallest posterior of a cause that fits, in sum with its twins
 # Smallest log evidence of a cause that fits, divided by that of the best smooth function.
 MIN_RIVAL_RATIO = 1 / 1.2
 # Number of Gaussian bumps of a smooth function, which stands for a cause on no list, by variable.
@@ -198,10 +199,7 @@ class LogProblem:
         return out
 
     def _screened(self) -> Array:
-        """Return the log evidence of each group of columns for each prior size (kappa).
-
-        Its shape is (groups, kappas).
-        """
+        """Return the log evidence [nats] of groups of columns by prior size, (groups, kappas)."""
         fit, total = self.fit, sum(map(len, self.groups))
         both, right = np.zeros((len(self.mean), total)), np.zeros(total)
         for r, s2 in zip(self.rows, fit.variance, strict=True):
@@ -271,7 +269,7 @@ class Found:
 
     @property
     def fits(self) -> bool:
-        """Return whether it fits: no doubtful cause, with enough evidence and probability."""
+        """Return whether it fits: listed, not doubtful, with enough evidence and probability."""
         name = self.label.partition("@")[0]
         return (
             self.listed

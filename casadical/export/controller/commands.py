@@ -47,12 +47,12 @@ class Sources:
     nominal : the robot with which the controller computes; a file, a problem folder or a `Robot`
     compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
     payload_kg : mass on the flange [kg]; None: as declared
-    tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that
+    tool : "shared": both robots have the calibrated robot's tool; "own": each has its own, so that
         the difference is corrected too, for a measured point that is the controller's tool centre
         point itself
     leave_out : whether effects that a controller cannot evaluate are omitted from the robot;
         otherwise they are refused
-    Raises InputError: another word as tool.
+    Raises InputError: `tool` is neither of the two.
 
     Examples
     --------
@@ -405,10 +405,7 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
 
 
 def _refuse_far_apart(command: Command, sources: Sources) -> None:
-    """Check that both tools are within 100 mm of each other, in the median of random joints.
-
-    Raises InputError: they are not.
-    """
+    """Refuse tools over 100 mm apart in the median of random joints. Raises InputError."""
     q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
     apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
     if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
@@ -421,10 +418,11 @@ def _refuse_far_apart(command: Command, sources: Sources) -> None:
 
 
 def _network(sources: Sources, joints: int) -> NetworkFunction | None:
-    """Return the compensator's network with its training ranges; None without one, or if refused.
+    """Return the compensator's network with its training ranges.
 
+    It is None without a compensator, or if the network was refused when it was trained.
     joints : number of the robot's joints
-    Raises InputError: it is of another number of joints or outputs.
+    Raises InputError: it has another number of inputs, or not three outputs.
     """
     if sources.compensator is None:
         return None
@@ -448,7 +446,7 @@ def prefix_of(name: str) -> str:
 
 
 def wants_pose(word: str) -> bool:
-    """Return whether the option --correct is "pose". Raises InputError for another word."""
+    """Return True for --correct pose, False for position. Raises InputError for any other word."""
     if word not in ("position", "pose"):
         raise InputError(f"--correct {word}: unknown; allowed: position, pose")
     return word == "pose"

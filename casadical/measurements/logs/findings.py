@@ -261,9 +261,10 @@ def _speed_delay(log: JointLog) -> tuple[float, float] | None:
 
 
 def with_signs(log: JointLog) -> JointLog:
-    """Return the log with a torque or current that is never negative as an unsigned current.
+    """Return the log with a torque or current that has lost its sign declared an unsigned current.
 
-    This applies if at least two joints move both ways while it comes near to zero.
+    It has if it is never negative, although at least two joints move both ways whose smallest value
+    is below 10 % of their largest. A torque then is the current, and the log has no torque.
     """
     for channel in ("torque", "current"):
         values = getattr(log, channel)

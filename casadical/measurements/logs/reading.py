@@ -357,9 +357,9 @@ def _from_percent(values: Array, robot: Arm | None, k: int, channel: str, source
 
 
 def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:
-    """Return the unit "deg" of angles if one exceeds any in radians, else "rad".
+    """Return the unit of angles: "deg" if any of a joint exceeds 2 pi + 1 in magnitude, else "rad".
 
-    Commanded channels are judged by the commands, others by the positions.
+    Commanded channels are judged by the commands if these are logged, others by the positions.
 
     keys : the log's names of the joints
     """

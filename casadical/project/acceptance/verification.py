@@ -234,10 +234,12 @@ class _Refit:
 
     @classmethod
     def needed_by(cls, prepared: Prepared) -> _Refit:
-        """Return the frames and points that must be fitted again for a prepared problem's sets."""
+        """Return the frames and points that must be fitted again for a prepared problem's sets.
+
+        They are the tool, sessions, unknown points and, if any set determines it, the base.
+        """
         robot, sets = prepared.robot, prepared.sets
         kind = find_kind(sets[0].kind)
-        # Readings of unknown places alone do not determine the base.
         base = any(kind.at_rest(m.arrays) for m in sets)
         wanted = (*(["base"] if base else []), "tool", *prepared.free)
         groups = tuple(g for g in wanted if g in robot.parameters.groups)
@@ -283,14 +285,13 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> tuple[float, int]:
     """Return the rms error of held-out poses [m] that a robot file's results state, and their number.
 
     The number is 0 where it is not stated.
-
     Of METHOD.robot.toml it is that of the report set in result.json, which counts no outliers. Of
     diagnosed.robot.toml and discovered.robot.toml, diagnosis.json and discovery.json state a mean,
     which is converted as that of normally distributed errors.
 
     robot : robot file in the folder of results
     kind : kind of measurement; full poses are judged by their positions
-    Raises InputError.
+    Raises InputError: no results are found next to the file, or they state no error of this kind.
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
         if robot.name == f"{name}.robot.toml":

@@ -75,9 +75,10 @@ def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
     """Return the longest island from a token on and its number of tokens.
 
-    Without an island it is None, and the number of tokens to skip.
-
-    start : index of the token; closed : indices of the opening brackets that are closed
+    Without an island it is None, and the number of tokens to skip: those read before the grammar
+    refused one if brackets are nested more than 20 deep, else 1.
+    start : index of the token; closed : indices of the opening brackets that are closed; an island
+        has no others
     """
     run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
     with suppress(UnexpectedInput):

@@ -61,16 +61,16 @@ class ProgramLanguage(ABC):
     def matrix(self, values: Array) -> Array:
         """Return the transform, shape (4, 4) [m], of a pose's numbers, shape (k,) [SI].
 
-        Raises InputError: numbers that are no pose, or a language without poses.
+        Raises InputError: the numbers are no pose, or targets of the language are joints alone.
         """
 
     @abstractmethod
     def values(self, T: Array, like: Array) -> Array:
-        """Return the numbers of a pose, shape (k,) [SI], nearest to those of another pose.
+        """Return the numbers of a pose, shape (k,) [SI]; of equivalent ones the nearest to `like`.
 
         T : the pose, shape (4, 4) [m]
-        like : numbers of the other pose, shape (k,) [SI]: angles are equivalent up to turns
-        Raises InputError: a language without poses.
+        like : numbers of another pose, shape (k,) [SI]
+        Raises InputError: targets of the language are joints alone.
         """
 
     def turns(self, q: Array) -> tuple[int, ...]:
@@ -88,7 +88,7 @@ class ProgramLanguage(ABC):
         return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """Return lines of a slow motion to joints [deg or mm]. Raises InputError without any."""
+        """Return lines of a slow motion to joints [deg or mm]. Raises InputError if it has none."""
         raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
 
     def frame(self, where: str, values: Array) -> Array:
@@ -118,10 +118,7 @@ class ProgramLanguage(ABC):
         return self.frame(f"{option} {text}", np.array(numbers) * self.units)
 
     def shown(self, T: Array) -> str:
-        """Return the numbers of a pose, (4, 4) [m], in the language's units, separated by commas.
-
-        `transform` reads this text.
-        """
+        """Return a pose, (4, 4) [m], as the text that `transform` reads: numbers and commas."""
         values = self.values(T, np.zeros(len(self.units)))
         return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
 

@@ -245,7 +245,7 @@ class _Module:
         return self._pose(value.children[3]) @ self._pose(value.children[4])
 
     def _pose(self, value: Tree[Token] | Token) -> Array:
-        """Return the transform, (4, 4) [m], of a RAPID pose. Raises InputError without numbers."""
+        """Return the transform, (4, 4) [m], of a pose. Raises InputError: not seven numbers."""
         tokens = value.scan_values(lambda t: isinstance(t, Token)) if isinstance(value, Tree) else [value]
         numbers = [float(str(t)) for t in tokens if t.type == "NUMBER"]
         line = value.meta.line if isinstance(value, Tree) else value.line
