@@ -483,7 +483,7 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
     """Return `Evidence.unsure`, at most two masks (n, numbers) of small tables without a sigma.
 
     The lengths and the angles of a set are a table each; small ones have less than 100 numbers, but
-    a tenth of all. If no table declares its sigma, the largest is the reference and excluded.
+    at least a tenth of all. If no table declares its sigma, the largest is the reference and excluded.
     """
     masks, declared = [], False
     for m, poses, places in zip(seen.sets, seen.layout.poses, seen.layout.places, strict=True):

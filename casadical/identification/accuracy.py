@@ -44,7 +44,7 @@ class Accuracy(Shown):
 
     @property
     def in_degrees(self) -> dict[str, float]:
-        """The statistics of angles, JSON key ("mean_deg", "max_deg", ...) -> value [deg].
+        """Return the statistics of angles, JSON key ("mean_deg", "max_deg", ...) -> value [deg].
 
         The fields must be angles [rad], as those of `turn`.
         """

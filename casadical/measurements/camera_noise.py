@@ -63,7 +63,7 @@ class View(NamedTuple):
 
     @property
     def T(self) -> Array:
-        """Poses of the target in the camera's frame, shape (n, 4, 4) [m]."""
+        """Return the poses of the target in the camera's frame, shape (n, 4, 4) [m]."""
         T = np.tile(np.eye(4), (len(self.t), 1, 1))
         T[:, :3, :3], T[:, :3, 3] = self.R, self.t
         return T

@@ -93,7 +93,7 @@ class Understanding:
 
     @property
     def sources(self) -> dict[str, Source]:
-        """The source of each of our columns; open questions are answered by their first choice."""
+        """Return each column's source by our name; open questions are answered by their first choice."""
         first = (c for question in self.questions for c in next(iter(question.choices.values())))
         return {c.ours: c.source for c in (*self.columns, *first)}
 

@@ -175,7 +175,7 @@ class Measurements(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The observed arrays by name, from fields and `extra`, each of shape (n, ...) [SI].
+        """Return the observed arrays by name, from fields and `extra`, each of shape (n, ...) [SI].
 
         With the noise of a camera they include `whitening`, shape (n, 6, 6).
         """
@@ -184,7 +184,7 @@ class Measurements(Shown):
 
     @property
     def view(self) -> View:
-        """What the camera saw; they must have positions and orientations."""
+        """Return what the camera saw; the poses must have positions and orientations."""
         seen = self.inverse() if self.camera == "in hand" else self
         assert seen.position is not None
         assert seen.orientation is not None
@@ -199,7 +199,7 @@ class Measurements(Shown):
 
     @property
     def residuals(self) -> int:
-        """Number of scalar residuals of all poses with a weight, and of given separations."""
+        """Return the number of scalar residuals of all poses with a weight, and of given separations."""
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
@@ -220,7 +220,7 @@ class Measurements(Shown):
 
     @property
     def clock_in_words(self) -> str:
-        """A sentence on the offset between images and joint readings; empty without one."""
+        """Return a sentence on the offset between images and joint readings; empty without one."""
         if not self.clock_offset:
             return ""
         side = "after" if self.clock_offset > 0 else "before"
@@ -239,7 +239,7 @@ class Measurements(Shown):
 
     @property
     def copies_in_words(self) -> str:
-        """A sentence on rows that were dropped as exact copies of others; empty without any."""
+        """Return a sentence on rows that were dropped as exact copies of others; empty without any."""
         if not self.copies:
             return ""
         few = ", ".join(map(str, self.copies[:10])) + (" ..." if len(self.copies) > 10 else "")

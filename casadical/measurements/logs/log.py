@@ -91,7 +91,7 @@ class JointLog(Shown):
 
     @property
     def _line(self) -> str:
-        """The summary in the repr: source, numbers of rows and joints, duration [s], channels."""
+        """Return the summary in the repr: source, numbers of rows and joints, duration [s], channels."""
         seconds = sum(run.time[-1] - run.time[0] for run in self.runs())
         channels = ", ".join(name.replace("_", " ") for name in self.arrays)
         return f" {self.source}: {len(self)} rows, {seconds:.1f} s, {len(self.joints)} joints: {channels}"
