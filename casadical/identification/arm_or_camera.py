@@ -123,7 +123,7 @@ class Moved(Shown):
         )
 
     def doubt_in_words(self) -> str:
-        """Return a sentence that nothing moved between two rows, or that this is not tellable."""
+        """Return a sentence that nothing moved between two rows, or that this is undecided."""
         if self.probability <= 1 - _CONFIDENCE:
             return "Hand-eye or board moved between two rows: no."
         return (
@@ -161,20 +161,20 @@ class ArmOrCamera(Shown):
 
     @property
     def _sides(self) -> tuple[bool | None, bool | None]:
-        """Whether arm and camera are wrong; None where the poses do not tell it."""
+        """Return whether the arm and whether the camera is wrong; None where that is undecided."""
         p = (self.arm.probability, self.camera.probability)
         arm, camera = (True if each >= _CONFIDENCE else False if each <= 1 - _CONFIDENCE else None for each in p)
         return arm, camera
 
     @property
     def wrong(self) -> str:
-        """Which side is wrong: "arm", "camera", "both", "neither", or "" where the poses do not tell it of both."""
+        """Return what is wrong: "arm", "camera", "both" or "neither"; "" if one is undecided."""
         names = {(True, False): "arm", (False, True): "camera", (True, True): "both", (False, False): "neither"}
         arm, camera = self._sides
         return "" if arm is None or camera is None else names[arm, camera]
 
     def in_words(self) -> str:
-        """Return sentences with both shares, the camera's likely errors, and what the poses do not tell."""
+        """Return sentences on both shares, probable errors of the camera, and what is undecided."""
         head = {
             "arm": "The arm is wrong, not the camera",
             "camera": "The camera is wrong, not the arm",
@@ -207,8 +207,8 @@ class ArmOrCamera(Shown):
 def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     """Return which of arm and camera is wrong by the poses of an identification.
 
-    None where no camera measured poses, or fewer than twelve, other measurements were fitted too, or
-    base or tool were given.
+    None where no camera measured the poses, they are fewer than twelve, other measurements were
+    fitted too, or fewer than ten variables of base and tool are free.
     """
     problem = found.problem
     (m, *others) = problem.sets
