@@ -134,10 +134,8 @@ def test_a_model_that_does_not_fit_is_told_by_a_two_hundredth_of_the_reach() -> 
             identify(arm, m, ["a1"])
 
 
-@pytest.mark.parametrize("formula", ["a/q1", "sqrt(a**2*q1**2)"])
-def test_a_row_where_an_effect_is_no_finite_number_is_named(formula: str) -> None:
-    """The second formula is one there, its slope is not."""
-    law = Law(1, "joint", formula, (("a", 1e-5),))
+def test_a_row_where_an_effect_has_no_finite_slope_is_named() -> None:
+    law = Law(1, "joint", "sqrt(a**2*q1**2)", (("a", 1e-5),))
     arm = PLANAR.with_effect(law).with_values({law.parameters()[0].name: 1e-5})
     q = np.random.default_rng(0).uniform(0.2, 1.5, (12, 2))
     m = arms.positions(PLANAR, q, 0)
