@@ -340,7 +340,10 @@ def test_a_form_outside_the_grammar_is_described_by_its_driver() -> None:
 
 @pytest.mark.slow
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
-    found = laws_of_diagnosis(replace(discovered(5, "stop").diagnosis, law=None), poses=64)
+    d = discovered(5, "stop").diagnosis
+    together = replace(d.case, whole=replace(d.case.whole, stop=np.arange(80) // 2), inliers=d.case.inliers)
+    assert laws_of_diagnosis(replace(d, law=None, case=together), poses=64).shrink
+    found = laws_of_diagnosis(replace(d, law=None), poses=64)
     assert found.thinned == (64, 80)
     assert found.case.inliers.sum() == 64
     assert [s.law.place for s in found.laws] == ["joint 3"]

@@ -120,7 +120,7 @@ def _concluded(
     shrink = None
     if laws:
         errors["law"] = errors_of(causes, noise, laws)
-        interval = shrink_interval(errors["base"], errors["law"], found.seed, found.case.evidence.stop)
+        interval = shrink_interval(errors["base"], errors["law"], found.seed, case.evidence.stop)
         shrink = float(1 - errors["law"].mean() / errors["base"].mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}
     return Discovery(found, tuple(rounds), case, tuple(laws), description, causes, noise, values, gap, shrink, smooth)
