@@ -483,12 +483,12 @@ def _in_base(case: Case) -> Array:
 
 
 def _regions(case: Case) -> Masks:
-    """Return a mask of the poses for each third of every joint variable, of radius and of height.
+    """Return a mask of the poses for each third of every joint reading, of radius and of height.
 
     Radius and height are those of the point in the base frame, about joint 1.
     """
     masks: Masks = []
-    for (column, factor), q in zip(case.robot.reading_units.items(), case.m.q.T, strict=True):
+    for (column, factor), q in zip(case.robot.reading_units.items(), case.robot.readings_of(case.m.q).T, strict=True):
         name, unit = column.split("_")
         masks += _in_thirds(name, q / factor, unit, 0)
     p = _in_base(case)

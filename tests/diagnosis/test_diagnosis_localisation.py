@@ -9,6 +9,7 @@ from cases import case, diagnosed, robot, simulated
 from planted import planted
 
 from casadical.blind_check.mujoco_physics import Hidden
+from casadical.core.parts import Coupling
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
@@ -166,6 +167,13 @@ def test_names_of_regions_do_not_follow_round_off(any_case: Case, edge: float) -
         names.append(localise_residual(c, NOISE, NONE, remains=0.0).regions["part"].tolist())
     assert names[0] == names[1]
     assert f" .. {round(edge):.0f} deg" in " ".join(names[0])
+
+
+def test_regions_are_those_of_the_controllers_readings(any_case: Case) -> None:
+    joints = [replace(any_case.robot.joints[0], readings=Coupling(((1, -1.0),), 0.5)), *any_case.robot.joints[1:]]
+    c = replace(any_case, robot=replace(any_case.robot, joints=tuple(joints)))
+    ranges = localise_residual(c, NOISE, NONE, remains=0.0).regions.set_index("by").loc["q1", "part"]
+    assert float(ranges.iloc[0].split(" .. ")[0]) == pytest.approx(np.rad2deg(0.5 - any_case.m.q[:, 0].max()), abs=1)
 
 
 def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
