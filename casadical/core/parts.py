@@ -401,16 +401,16 @@ class Arm:
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
         return lower, upper
 
-    def coupled(self, q: Array) -> Array:
-        """Return readings with those of coupled and locked joints computed, (poses, n) [rad or m].
+    def coupled(self, q: Array, *, readings: bool = False) -> Array:
+        """Return the variables with those of coupled and locked joints computed, as q is.
 
-        q : readings, shape (poses, n) [rad or m]; those of coupled joints are ignored
+        q : the rows' variables, with `readings` the controller's, (poses, n) [rad or m]
         """
-        made = np.array(q, dtype=float)
+        made = np.array(q if readings else self.readings_of(q), dtype=float)
         for i, joint in enumerate(self.joints):
             if joint.coupling is not None:
                 made[:, i] = joint.coupling.at + sum(k * made[:, j - 1] for j, k in joint.coupling.follows)
-        return made
+        return made if readings else self.variables_of(made)
 
     @property
     def counts_otherwise(self) -> bool:

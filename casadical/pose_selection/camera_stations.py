@@ -102,7 +102,7 @@ def camera_stations(
     near, far, *angles = (float(np.quantile(part, share)) for part, share in of_stations)
     visible = view or (near, far, angles[0], angles[1])
     # Near the stations so far most poses see the target, elsewhere few do.
-    close = m.q[rng.integers(len(m), size=8_000)] + rng.normal(0, 0.3, (8_000, robot.n))
+    close = robot.coupled(m.q[rng.integers(len(m), size=8_000)] + rng.normal(0, 0.3, (8_000, robot.n)))
     q = np.concatenate([close, draw(robot, 8_000, where, rng)])
     q = q[where.allows(robot, q)]
     q = q[_visible(_exact(robot, q, m.camera, m.noise), visible)][:1_500]
@@ -161,7 +161,8 @@ def simulated_stations(robot: Robot, view: View, sigma: float = 1e-3, seed: int 
     rng, noise = np.random.default_rng(seed), CameraNoise((1.0, 3.0, 1.0, 0.35), distance=(view[0] + view[1]) / 2)
     arm = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="pose"))
     for middle in draw(robot, 50, Workspace(), rng):
-        q = np.vstack([middle, np.clip(middle + rng.normal(0, 0.3, (4_000, robot.n)), *robot.limits)])
+        near = np.clip(middle + rng.normal(0, 0.3, (4_000, robot.n)), *robot.limits)
+        q = np.vstack([middle, robot.coupled(near)])
         p, R = predicted(robot, unmeasured(q))
         board = frame(R[0] @ np.diag([1.0, -1.0, -1.0]), p[0] + noise.distance * R[0][:, 2])
         placed = replace(arm, base=replace(arm.base, T=np.linalg.inv(board) @ arm.base.T))

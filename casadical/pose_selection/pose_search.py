@@ -110,7 +110,7 @@ def select_poses(
     # Neighbours of every chosen pose are tried at decreasing distances, in fractions of the ranges.
     for size in (0.2, 0.08, 0.03) if problem.open else ():
         steps = size * (upper - lower) * rng.normal(size=(12, n, robot.n))
-        q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
+        q = robot.coupled(np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n))
         q = q[workspace.allows(robot, q)]
         nearby = chosen.joined(candidates_at(robot, q, problem.circumstances, n, rng)) if len(q) else chosen
         design = problem.design(nearby, min_distance)
@@ -342,15 +342,7 @@ def select_with_places(
         if best is not None and best.instrument and np.array_equal(best.instrument.places, instrument.places):
             break
         chosen = select_poses(
-            robot,
-            None,
-            n,
-            workspace=workspace,
-            free=free,
-            noise=noise,
-            seed=seed,
-            instrument=instrument,
-            **options,
+            robot, None, n, workspace=workspace, free=free, noise=noise, seed=seed, instrument=instrument, **options
         )
         if best is not None and chosen.accuracy >= best.accuracy:
             break

@@ -497,7 +497,7 @@ def with_coupled(columns: Columns, robot: Robot) -> Columns:
         if any(f"q{i}{u}" in columns.table for u in units):  # others that are missing are refused later
             read[i] = columns.si(f"q{i}", units)
     q = np.column_stack([read.get(i, np.zeros(len(columns.table))) for i in robot.numbers])
-    made = robot.coupled(q)
+    made = robot.coupled(q, readings=True)
     table = columns.table
     for i in coupled:
         turning = robot.joints[i - 1].kind == "revolute"

@@ -7,6 +7,7 @@ import pytest
 from test_camera_noise import MIDDLE, seen_by_hand
 
 from casadical import InputError, Measurements, identify
+from casadical.core.parts import Coupling
 from casadical.identification.accuracy import predicted
 from casadical.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
 
@@ -49,6 +50,10 @@ def test_of_a_nominal_arm_stations_are_planned_from_a_view() -> None:
     assert list(planned[0].forecast["stations"]) == [15, 10, 12, 15, 25, 40]
     assert 2 * planned[0].forecast["place_mm"].iloc[-1] < planned[1].forecast["place_mm"].iloc[-1]
     assert "simulated stations" in planned[0].blocks()[0].text
+    coupled = replace(robot, joints=(*robot.joints[:5], replace(robot.joints[5], coupling=Coupling(((4, 0.5),), 0.1))))
+    found = simulated_stations(coupled, view)
+    for q in (found.problem.sets[0].q, camera_stations(found, 12, view=view).q):
+        np.testing.assert_allclose(q[:, 5], 0.1 + 0.5 * q[:, 3])
     for wrong in ("0.5,0.3,20,45", "0.3,0.9,20", "a,b,c,d"):
         with pytest.raises(InputError, match="two rising distances"):
             read_view(wrong)

@@ -1,12 +1,13 @@
 """Joints without an encoder: mimic and passive joints follow others, a locked one stands still."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from casadical import InputError, calibrate, read_problem, read_robot, read_urdf
+from casadical import InputError, calibrate, read_problem, read_robot, read_urdf, select_poses
 from casadical.core.parts import Coupling
 from casadical.identification.accuracy import predicted
 from casadical.project.new import new_problem
@@ -119,6 +120,16 @@ URDF = """\
     <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
 </robot>
 """
+
+
+@pytest.mark.parametrize("readings", [None, Coupling(((2, 1.0), (3, -1.0)), 0.2)])
+def test_chosen_poses_are_coupled(tmp_path: Path, readings: Coupling | None) -> None:
+    (tmp_path / "robot.toml").write_text(HEAD + WRIST + LAST)
+    robot = read_robot(tmp_path / "robot.toml")
+    a, b, third, *others = robot.joints
+    robot = replace(robot, joints=(a, b, replace(third, readings=readings), *others))
+    J = robot.readings_of(select_poses(robot, None, 8, pool=30, restarts=1, free=["geometry"]).q)
+    np.testing.assert_allclose(J[:, 3], np.deg2rad(10) - J[:, 1] - J[:, 2], atol=1e-12)
 
 
 def test_mimic_of_a_urdf_is_read(tmp_path: Path) -> None:

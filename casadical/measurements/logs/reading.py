@@ -171,7 +171,7 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
             notes += (f"{joint.name} as {keys[k]}, which it mimics",)
     if robot is not None and "" in keys:
         for channel in MOTION_CHANNELS & {*arrays}:
-            made, still = robot.coupled(arrays[channel]), robot.coupled(np.zeros((1, robot.n)))
+            made, still = (robot.coupled(q, readings=True) for q in (arrays[channel], np.zeros((1, robot.n))))
             led = made if channel in ("position", "command") else made - still
             arrays[channel] = np.where([key == "" for key in keys], led, arrays[channel])
         lacking = ", ".join(name for name, key in zip(names, keys, strict=True) if not key)
