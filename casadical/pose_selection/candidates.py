@@ -116,14 +116,12 @@ def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: st
 
 
 def one_turn(robot: Robot) -> Robot:
-    """Return the robot with limits of at most half a turn to either side of zero.
-
-    Only joints with a range above 2 pi [rad, or m if prismatic] are changed.
-    """
-    joints = (
-        replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
-        for j in robot.joints
-    )
+    """Return the robot with one turn as the range of joints that have more, that nearest to zero."""
+    turn, joints = 2 * np.pi, list(robot.joints)
+    for k, j in enumerate(joints):
+        if j.kind == "revolute" and j.upper - j.lower > turn:
+            lower = min(max(j.lower, -np.pi), j.upper - turn)
+            joints[k] = replace(j, lower=lower, upper=lower + turn)
     return replace(robot, joints=tuple(joints))
 
 

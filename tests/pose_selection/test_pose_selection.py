@@ -16,7 +16,7 @@ from casadical.identification.accuracy import errors
 from casadical.identification.figures import fit_quality
 from casadical.identification.prior import carry_over
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
-from casadical.pose_selection.candidates import Candidates, candidates_at, draw, expected, later_poses
+from casadical.pose_selection.candidates import Candidates, candidates_at, draw, expected, later_poses, one_turn
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_search import Forecast, select_poses
 from casadical.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
@@ -307,6 +307,12 @@ def test_a_full_stroke_counts_as_half_a_turn() -> None:
     robot = Robot("slide", (Joint(), Joint(kind="prismatic", lower=0.1, upper=0.6)))
     q = np.array([[0.0, 0.1], [0.5, 0.6], [3.0, 0.35]])
     assert travel_distances(robot, q) == pytest.approx(np.array([[0, np.pi, 3], [np.pi, 0, 2.5], [3, 2.5, 0]]))
+
+
+def test_one_turn_is_the_nearest_to_zero() -> None:
+    far, near, slide = Joint(lower=3.5, upper=10.0), Joint(lower=-8.0, upper=7.0), Joint(kind="prismatic", upper=8.0)
+    ranges = [(j.lower, j.upper) for j in one_turn(Robot("arm", (far, near, slide))).joints]
+    assert ranges == [pytest.approx((3.5, 3.5 + 2 * np.pi)), (-np.pi, np.pi), (slide.lower, 8.0)]
 
 
 @pytest.mark.parametrize(("n", "candidates"), [(5, 100), (50, 150)])
