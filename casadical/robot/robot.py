@@ -422,10 +422,12 @@ class Robot(Shown, Arm):
         Its `knowledge` and `remaining` are None. Parameters of the base, and rotations of the tool,
         move the nominal frame and are then zero again.
 
-        Raises InputError: no such parameter, or a value of a joint that is not finite.
+        Raises InputError: no such parameter, or a value that is not finite.
         """
-        for name in values:
+        for name, value in values.items():
             self.parameters.index_of(name)
+            if not np.isfinite(value):
+                raise InputError(f"{name} is {value}; it must be a finite number")
         v = {p.name: float(values.get(p.name, p.value)) for p in self.parameters}
         effect_names = {p.name for e in self.effects for p in e.parameters()}
         joints, loops, T = [], [], self.tool.T

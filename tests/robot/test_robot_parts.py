@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numeric_arm import shift, turn
 
-from casadical import Body, FourBar, Joint, Placement, Robot
+from casadical import Body, FourBar, InputError, Joint, Placement, Robot
 from casadical.effects import Effect
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import MIN_TORQUE_OF_LARGEST
@@ -54,6 +54,13 @@ class Everywhere(Effect):
 @dataclass(frozen=True)
 class Again(Everywhere):
     name = "again"
+
+
+@pytest.mark.parametrize("name", ["base_x", "a1", "everywhere@2.turn"])
+def test_values_are_finite(name: str) -> None:
+    robot = replace(elbow(), base=Placement(np.eye(4), "pose")).with_effect(Everywhere(2))
+    with pytest.raises(InputError, match="finite"):
+        robot.with_values({name: np.nan})
 
 
 def elbow() -> Robot:
