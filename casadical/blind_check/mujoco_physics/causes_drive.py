@@ -18,7 +18,7 @@ def gear_eccentricity(
 
     It is the true angle less the reading. The wheel rolls on a pinion, whose angle the encoder
     measures: the integral of the rim's distance from the shaft. The error is zero at reading zero
-    and beyond a turn to either side; to first order its first harmonic has the amplitude `size` and
+    and periodic; to first order its first harmonic has the amplitude `size` and
     its second `oval` [rad].
 
     joint : number of the joint, from 1
@@ -35,7 +35,7 @@ def gear_eccentricity(
     rolled = np.concatenate([[0.0], np.cumsum((rim[1:] + rim[:-1]) / 2 * np.diff(angle))])
     rolled *= 4 * np.pi / rolled[-1]
     lag = angle - (rolled - 2 * np.pi)
-    return np.interp(stops.q[:, joint - 1], rolled - 2 * np.pi, lag)
+    return np.interp(np.fmod(stops.q[:, joint - 1], 2 * np.pi), rolled - 2 * np.pi, lag)
 
 
 @acts("motors")

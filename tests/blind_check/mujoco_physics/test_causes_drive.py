@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from casadical.blind_check.mujoco_physics import Hidden
+from casadical.blind_check.mujoco_physics.causes_drive import gear_eccentricity
 
 from .machines import angle_about, built, shift, stops
 
@@ -21,6 +22,13 @@ def errors_of_a_turn(hidden: Hidden) -> np.ndarray:
     angle, left = angle_about(machine, at, hidden.joint, shift(machine, hidden, at))
     assert left.max() < 1e-6
     return angle
+
+
+def test_an_eccentric_gear_errs_alike_in_every_turn():
+    at = stops([[0, 0, 0, 0, 0, 1.0 + 2 * np.pi * k] for k in (0, 2, -3)], 0.0)
+    errors = gear_eccentricity.act(built("kr210"), at, joint=6, size=4e-5, towards=0.3, oval=1e-5, oval_towards=1.0)
+    assert abs(errors[0]) > 1e-5
+    np.testing.assert_allclose(errors, errors[0])
 
 
 def test_a_scratch_errs_only_beside_it():
