@@ -318,7 +318,9 @@ def _camera(
     with working(quiet, "choosing stations"):
         seen = read_view(view) if problem.is_file() else None
         if seen:
-            found = simulated_stations(read_campaign_robot(problem), seen, 1e-3 * (noise_mm or 1.0), seed)
+            found = simulated_stations(
+                read_campaign_robot(problem), seen, 1e-3 * (1.0 if noise_mm is None else noise_mm), seed
+            )
         else:
             found = calibrate(problem).identification
         workspace = read_workspace(room, found.robot) if room else None

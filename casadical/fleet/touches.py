@@ -405,8 +405,10 @@ def changes_in_fleet(path: Path) -> Mapping[str, float]:
     robots = load_json(path).get("robots")
     if not isinstance(robots, list):
         raise InputError(f"{path}: holds no robots; give what `casadical fleet PLANT --json FILE` wrote")
-    words = [str(row.get("changes", "")) for row in robots if isinstance(row, dict)]
-    return {kind: often + sum(text.count(kind) for text in words) for kind, often in CHANGE_FREQUENCY.items()}
+    changes = [text for row in robots if isinstance(row, dict) for text in str(row.get("changes", "")).split("; ")]
+    # Labels of the causes, such as tool or joint_zero@2, precede the first comma.
+    causes = [label.split("@")[0] for text in changes for label in text.split(", ")[0].split(" or ")]
+    return {kind: often + causes.count(kind) for kind, often in CHANGE_FREQUENCY.items()}
 
 
 def plan_touches(
@@ -432,7 +434,7 @@ def plan_touches(
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
     rest = MM_PER_M * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
-    noise = Noise(1e-3 * float(np.hypot(noise_mm or (0.0 if rest else 0.1), rest)))
+    noise = Noise(1e-3 * float(np.hypot((0.0 if rest else 0.1) if noise_mm is None else noise_mm, rest)))
     model = TouchModel(arm, (), tuple(p.name for p in arm.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
     sizes = {
         name: float(s) * arm.parameters[name].scale

@@ -14,7 +14,8 @@ from command_line import main
 from casadical import InputError, Placement, Robot, identify, read_robot, write_robot
 from casadical.core.reporting.figure import Figure
 from casadical.core.transforms import frame, from_rpy
-from casadical.fleet.touches import judge_touches, plan_touches
+from casadical.fleet.touch_model import CHANGE_FREQUENCY
+from casadical.fleet.touches import changes_in_fleet, judge_touches, plan_touches
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import with_knowledge
@@ -95,8 +96,7 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("by", "label"),
-    [({"tool_x": 5e-4, "tool_y": 3e-4}, "tool"), ({"base_x": 4e-4, "base_rz": 4e-4}, "foot")],
+    ("by", "label"), [({"tool_x": 5e-4, "tool_y": 3e-4}, "tool"), ({"base_x": 4e-4, "base_rz": 4e-4}, "foot")]
 )
 def test_another_tool_and_a_moved_foot_are_told_apart(place, tmp_path, by, label):
     file, true, q = place
@@ -139,11 +139,12 @@ def test_where_touches_do_not_decide_two_more_are_named(place, tmp_path):
 
 def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_path):
     file, true, q = place
-    robots = [{"changes": "tool"}] * 30
+    robots = [{"changes": "tool, a jump since C7 (tool, foot): tool_z +0.2 mm +/- 0.01"}] * 30
     (tmp_path / "fleet.json").write_text(json.dumps({"robots": robots}))
     table = day(tmp_path, 1, moved(true, {"tool_z": 2e-4}), q[:3])
     plain, known = (judge_touches(file, [table], fleet=f) for f in (None, tmp_path / "fleet.json"))
     assert known.draws.probability("tool") > plain.draws.probability("tool")
+    assert changes_in_fleet(tmp_path / "fleet.json") == CHANGE_FREQUENCY | {"tool": CHANGE_FREQUENCY["tool"] + 30}
     (tmp_path / "fleet.json").write_text("{}")
     with pytest.raises(InputError, match="holds no robots"):
         judge_touches(file, [table], fleet=tmp_path / "fleet.json")

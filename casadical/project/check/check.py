@@ -19,7 +19,7 @@ from casadical.identification.plausibility import check_against
 from casadical.identification.sessions import place_sessions, split_by_session, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.columns import Source
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.check import plausible as facts
 from casadical.project.check.findings import (
     Finding,
@@ -60,6 +60,8 @@ def precheck(
 
     Faults of files and data (InputError) are findings, not exceptions.
     """
+    if noise is not None:
+        Noise(noise)  # which refuses zero
     folder = Path(folder)
     try:
         problem = read_problem(folder, seed, tables=tables)

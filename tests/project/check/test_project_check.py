@@ -15,7 +15,7 @@ import pytest
 from command_line import run
 from marks import slow
 
-from casadical import Measurements, calibrate
+from casadical import InputError, Measurements, calibrate
 from casadical.identification.identification import identify
 from casadical.project.check.check import precheck
 from casadical.project.check.findings import far_rows
@@ -98,6 +98,8 @@ def test_too_few_numbers_to_try_compliance_are_no_error(tmp_path: Path) -> None:
 def test_expected_errors_are_those_that_calibration_states_afterwards() -> None:
     problem = read_problem(ROOT / "problems" / "planar")
     result = identify(problem.robot, problem.sets["identify"][0], method="KM")
+    with pytest.raises(InputError, match="above zero"):
+        precheck(ROOT / "problems" / "planar", noise=0.0)
     (view,) = precheck(ROOT / "problems" / "planar", noise=result.sigmas[0][0]).outlooks
     assert view.names == result.names
     assert view.errors == pytest.approx(result.standard_errors, rel=0.02)
@@ -166,8 +168,7 @@ def test_one_joint_in_radians_is_named(joint: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said_to_be", "meant"),
-    [("kr210", "standard", "modified"), *slow(("ur10_grid", "modified", "standard"))],
+    ("name", "said_to_be", "meant"), [("kr210", "standard", "modified"), *slow(("ur10_grid", "modified", "standard"))]
 )
 def test_dh_rows_of_the_other_convention_are_named(name: str, said_to_be: str, meant: str, tmp_path: Path) -> None:
     (tmp_path / "problems").mkdir()
