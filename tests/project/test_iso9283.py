@@ -62,6 +62,11 @@ def test_the_figures_are_those_of_a_sheet_by_hand(sheet):
     np.testing.assert_allclose(1e3 * np.array(found.drift), [0.2, 0.1], atol=1e-9)
     assert found.model is None
     assert found.notes == ("fewer visits than the 30 of the standard at P1, P2",)
+    # One path and one group of visits tell neither a variation nor a drift.
+    kept = [row for row in SHEET.splitlines() if row.split(",")[3] in "path 0 1" and row.split(",")[4] in "group 0"]
+    sheet.write_text("\n".join(kept))
+    found = evaluated_table(sheet, read_robot(ROBOT))
+    assert (found.directions, found.drift) == ({}, None)
 
 
 def test_the_poses_lie_on_the_diagonals_ten_per_cent_from_the_ends():

@@ -208,8 +208,8 @@ class Iso9283(Acceptance):
 
     robot : name of the robot
     accuracy : AP and RP of each pose
-    directions : vAP by pose [m], 0 if there is a single path; without poses that were not tested
-    drift : dAP and dRP [m], 0 if there is a single group; None where drift was not tested
+    directions : vAP by pose [m], of poses that were approached on two paths or more
+    drift : dAP and dRP [m]; None without a pose that was visited in the group 0 and a later one
     model : rms error of the calibrated model at the mean positions [m], None without joint readings
     promised : rms error that the calibration states [m], None without one
     notes : doubts about the table, in words
@@ -283,7 +283,8 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
         own = (test == "directions") & (pose == k)
         path_ = columns.column("path")
         means = [local[own & (path_ == h)].mean(axis=0) for h in np.unique(path_[own])]
-        directions[int(k)] = max((float(np.linalg.norm(a - b)) for a, b in combinations(means, 2)), default=0.0)
+        if len(means) > 1:
+            directions[int(k)] = max(float(np.linalg.norm(a - b)) for a, b in combinations(means, 2))
     drift = None
     if (test == "drift").any():
         group = columns.column("group")
@@ -291,7 +292,7 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
         first, *later = (_by_pose(pose, local, command, (test == "drift") & (group == g)) for g in groups)
         then = {f.pose: f for f in first}
         off = [(abs(then[f.pose].AP - f.AP), abs(then[f.pose].RP - f.RP)) for g in later for f in g if f.pose in then]
-        drift = (max((AP for AP, _ in off), default=0.0), max((RP for _, RP in off), default=0.0))
+        drift = (max(AP for AP, _ in off), max(RP for _, RP in off)) if off else None
     few = [f"P{f.pose}" for f in accuracy if f.n < STANDARD_CYCLES]
     notes = [f"fewer visits than the {STANDARD_CYCLES} of the standard at {', '.join(few)}"] if few else []
     if np.median([f.AP for f in accuracy]) > 0.05 * robot.reach:
