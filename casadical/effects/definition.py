@@ -123,13 +123,14 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with the identified payload; an omission if none is known.
 
+    Without a mass above zero the centre of mass is unknown: that is an omission, too.
+
     v : `mass`, error of the mass divided by the declared mass; `x`, `y`, `z`, error of the first
         moment in the last link's frame, divided by the declared mass [m]
     """
     declared = simulator.payload
-    if declared is None:
+    if declared is None or (factor := 1 + v["mass"]) <= 0:
         return simulator.without(effect.label, "no counterpart in MuJoCo")
-    factor = 1 + v["mass"]
     centre = declared.com + np.array([v[c] for c in "xyz"]) / factor
     text = f"{effect.label}: {declared.mass * factor:.4g} kg in place of {declared.mass:.4g} kg, centre moved"
     return simulator.noted(text, payload=Body(declared.mass * factor, centre), payload_factor=factor)

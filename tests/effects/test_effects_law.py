@@ -10,7 +10,7 @@ from bench import campaign, robot, with_columns
 from casadical.core.basics import InputError
 from casadical.core.parts import Body, Joint
 from casadical.diagnosis.linearisation import signatures
-from casadical.effects import BearingPlay, Law, LinkMasses
+from casadical.effects import BearingPlay, Law, LinkMasses, PayloadError
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.export.omission import left_out
 from casadical.identification.accuracy import predicted
@@ -169,6 +169,9 @@ def test_a_link_without_mass_is_named_where_a_simulator_has_none() -> None:
     whole = robot("ur10e").with_effect(masses).with_values({"link_masses.m2": -1.5})
     (omission,) = counterparts(whole).left_out
     assert "the mass of link 2 came out negative" in str(omission)
+    loaded = replace(robot("ur10e"), payload=Body(5.0, np.zeros(3))).with_effect(PayloadError(None))
+    found = counterparts(loaded.with_values({"payload_error.mass": -1.0}))
+    assert ([o.label for o in found.left_out], found.payload_factor) == (["payload_error"], 1.0)
 
 
 def test_a_bearings_play_is_that_under_its_whole_weight() -> None:
