@@ -167,9 +167,10 @@ class FileSource:
         if (about.st_mtime_ns, about.st_size) == self._seen:
             return News()
         shorter = about.st_size < self._size
-        self._seen, self._size = (about.st_mtime_ns, about.st_size), about.st_size
         try:
-            new = rows_of(self.path, read_bytes(self.path))
+            data = read_bytes(self.path)  # a file that cannot be read now is tried again
+            self._seen, self._size = (about.st_mtime_ns, about.st_size), about.st_size
+            new = rows_of(self.path, data)
         except InputError as error:
             return News(said=[str(error)])
         if shorter:
@@ -188,7 +189,11 @@ class FolderSource:
         """Return all rows of those files that are new or have changed, in the order of names."""
         new = News()
         tables = {".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet"}
-        for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in tables and p.is_file()):
+        try:
+            paths = sorted(p for p in self.path.iterdir() if p.suffix.lower() in tables and p.is_file())
+        except OSError as error:
+            return News(said=[f"{self.words}: {error.strerror}; the readings stay, and it is waited for"])
+        for path in paths:
             one = self._files.setdefault(path, FileSource(path)).news()
             new.rows += one.rows
             new.said += one.said

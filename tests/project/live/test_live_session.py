@@ -365,6 +365,7 @@ def test_files_as_others_write_them(small: Path, tmp_path: Path) -> None:
         found, said = session.feed(FolderSource(folder))
         assert len(found) == 1
         assert "has the columns" in said[0]
+        assert "waited for" in session.feed(FolderSource(tmp_path / "removed"))[1][0]
         assert len(session.course.readings) == 7
 
 
