@@ -187,7 +187,7 @@ def test_results_of_other_measurements_are_refused(results, tmp_path):
     told["methods"]["KM"]["sets"]["report"]["mean_mm"] *= 1.1
     (tmp_path / "result.json").write_text(json.dumps(told))
     (tmp_path / "KM.robot.toml").write_text((results / "KM.robot.toml").read_text())
-    with pytest.raises(InputError, match="measured or split otherwise"):
+    with pytest.raises(InputError, match=r"measured, split \(--seed\) or calibrated otherwise \(--loss, --prior\)"):
         certificate(tmp_path, details(tmp_path), problem=PLANAR)
     with pytest.raises(InputError, match="name it with --problem"):
         certificate(tmp_path, details(tmp_path))

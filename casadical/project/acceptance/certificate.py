@@ -402,7 +402,10 @@ def certificate(
 def _refuse_others(report: Mapping[str, Any], robot: Robot, sets: Sequence[Measurements], place: Path) -> None:
     """Refuse held-out poses whose errors differ from those that the results state.
 
-    They were then split by another seed, or are of another table. Raises InputError.
+    They were then split by another seed, are of another table or, as they are calibrated here again
+    where the file's robot was refitted, were calibrated with another loss or a prior.
+
+    Raises InputError.
 
     report : figures of the held-out poses in result.json; robot : calibrated; place : its file
     """
@@ -413,8 +416,8 @@ def _refuse_others(report: Mapping[str, Any], robot: Robot, sets: Sequence[Measu
         given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
         raise InputError(
             f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, "
-            f"the measurements give {1e3 * own.mean():.4f} mm: they were measured or split "
-            "otherwise (--seed); calibrate again"
+            f"the measurements give {1e3 * own.mean():.4f} mm: they were measured, split "
+            "(--seed) or calibrated otherwise (--loss, --prior); calibrate again as problem.toml says"
         )
     if n != len(own):
         raise InputError(f"{place.parent / 'result.json'}: {n} held-out poses, the problem has {len(own)}")
