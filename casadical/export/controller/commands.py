@@ -201,6 +201,7 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
             real, joints=tuple(replace(j, lower=a, upper=b) for j, (a, b) in zip(real.joints, ends, strict=True))
         )
     lower, upper = box.reading_limits
+    counted = f"the network alone takes the robot file's q, not the controller's readings J: {real.readings_in_words}"
     command = Command(
         nominal=functions.tool_function(nominal, "nominal", orientation),
         calibrated=functions.tool_function(real, "calibrated", orientation, turn, network),
@@ -213,7 +214,11 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
         steps=steps,
         units=real.units,
         freedom=freedom,
-        notes=(*real.notes, *measured_range(robot_of(sources.robot))),
+        notes=(
+            *real.notes,
+            *measured_range(robot_of(sources.robot)),
+            *[counted] * (network is not None and real.counts_otherwise),
+        ),
     )
     _refuse_far_apart(command, sources)
     return command

@@ -12,6 +12,7 @@ from controller_arms import NAMES, nominal_path, planted, poses, positions, rigi
 
 from casadical.compensator import Compensator, save_compensator
 from casadical.core.basics import InputError
+from casadical.core.parts import Coupling
 from casadical.effects import GearEccentricity, Law, PayloadError, ThermalGrowth
 from casadical.export.controller.commands import Sources, command_of, network_of
 from casadical.export.controller.correction import corrected_joints, model_corrector
@@ -118,6 +119,11 @@ def test_the_network_is_turned_from_the_measuring_frame_into_the_robots(files, c
     command = command_of(sources)
     assert (command.lower >= np.array(made.trained_box.lower) - 1e-15).all()
     assert (command.upper <= np.array(made.trained_box.upper) + 1e-15).all()
+    own, nominal = (
+        replace(r, joints=(replace(r.joints[0], readings=Coupling(((1, -1.0),))), *r.joints[1:]))
+        for r in (robot, read_robot(nominal_path("hh800")))
+    )
+    assert "the network alone takes the robot file's q" in command_of(Sources(own, nominal, path)).notes[-1]
 
 
 def angle(R: np.ndarray, other: np.ndarray) -> np.ndarray:
