@@ -194,13 +194,7 @@ def robot_to_write(
 
 
 def _into_users(
-    source: Path,
-    nominal: Path | None,
-    campaign: Path | None,
-    into: Path,
-    joints: str,
-    springs: bool,
-    robot: Robot,
+    source: Path, nominal: Path | None, campaign: Path | None, into: Path, joints: str, springs: bool, robot: Robot
 ) -> MjcfExport:
     """Return a user's MJCF model with the robot's geometry and joint springs, without effects.
 

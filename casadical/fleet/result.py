@@ -306,11 +306,7 @@ def grown(sigmas: Sequence[float], freedom: Sequence[float] | float | None, alar
     return f"the last campaign leaves {finite[-1]:.3f} mm per coordinate, those before {before:.3f}" if before else ""
 
 
-def fleet_of(
-    robots: pd.DataFrame,
-    notes: Sequence[str] = (),
-    computed: int | None = None,
-) -> Fleet:
+def fleet_of(robots: pd.DataFrame, notes: Sequence[str] = (), computed: int | None = None) -> Fleet:
     """Return the result of a fleet from the rows of a store.
 
     notes : sentences on the robots; computed : number of robots computed in this run

@@ -20,14 +20,7 @@ from casadical.core.basics import M_PER_MM, Array
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_solution
-from casadical.identification.residuals import (
-    MAX_CACHED_DATA_POSES,
-    Block,
-    Loss,
-    loss_slope,
-    loss_value,
-    make_block,
-)
+from casadical.identification.residuals import MAX_CACHED_DATA_POSES, Block, Loss, loss_slope, loss_value, make_block
 from casadical.identification.solver import (
     ACCEPTABLE_STATUS,
     OPTIMUM_MESSAGE,

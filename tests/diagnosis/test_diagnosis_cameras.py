@@ -75,8 +75,7 @@ def seen_wrongly(T: np.ndarray, carried: bool, size: float) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("fault", "carried"),
-    [("hand_eye_step", False), ("stand_step", False), ("lens_scale", False), ("lens_scale", True)],
+    ("fault", "carried"), [("hand_eye_step", False), ("stand_step", False), ("lens_scale", False), ("lens_scale", True)]
 )
 def test_what_a_camera_does_wrong_is_named(fault: str, carried: bool) -> None:
     found = diagnose(robot(), campaign(fault, carried))

@@ -17,12 +17,7 @@ from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
-from casadical.diagnosis.noise_forms import (
-    ar_form,
-    heavy_tailed_form,
-    noisy_joint,
-    unequal_form,
-)
+from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noisy_joint, unequal_form
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import page_of
 from casadical.identification.accuracy import predicted

@@ -31,13 +31,7 @@ from casadical.diagnosis.laws.candidates import LawProblem
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
-from casadical.diagnosis.posterior import (
-    PRIOR_FIRST,
-    PRIOR_FURTHER,
-    Ranking,
-    prior_weights,
-    rank,
-)
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, prior_weights, rank
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import Statement, statements

@@ -162,11 +162,7 @@ def test_a_large_covariance_lies_in_a_file_beside_the_robot(tmp_path: Path) -> N
         variances = np.einsum("ij,ij->i", A.T @ block.matrix, A.T), np.einsum("ij,ij->i", A.T @ C, A.T)
         np.testing.assert_allclose(*map(np.sqrt, variances), rtol=1e-6)
     companion = tmp_path / "arm.covariance.npz"
-    for content, said in (
-        (b"PK", "not a zip file"),
-        (None, "copy both together"),
-        ("one row", "another robot file"),
-    ):
+    for content, said in ((b"PK", "not a zip file"), (None, "copy both together"), ("one row", "another robot file")):
         companion.unlink()
         if content == "one row":
             np.savez(companion, **{names[0]: np.ones(1)})

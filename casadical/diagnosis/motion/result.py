@@ -400,11 +400,7 @@ def log_views_of(
         """
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
-        return log_view(
-            motion_of(used, of, max_samples=MAX_SAMPLES),
-            of,
-            peak_torque,
-        )
+        return log_view(motion_of(used, of, max_samples=MAX_SAMPLES), of, peak_torque)
 
     if reference is None:
         return (seen(log, arm),)

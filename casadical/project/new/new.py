@@ -36,14 +36,7 @@ from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import (
-    as_poses,
-    computed,
-    placed_by,
-    poses_in_words,
-    understood,
-    with_coupled,
-)
+from casadical.project.robot_columns import as_poses, computed, placed_by, poses_in_words, understood, with_coupled
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 

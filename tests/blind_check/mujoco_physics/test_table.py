@@ -82,13 +82,7 @@ def test_loop_and_ranges_are_kept() -> None:
 def test_own_readings_payloads_and_temperature() -> None:
     q = np.random.default_rng(0).uniform(-60, 60, (25, 6))
     table = campaign(
-        ARM,
-        25,
-        1,
-        q_deg=q,
-        payload_states=[40.0],
-        warmup=Warmup(30.0, 0.0, sensor_K=0.0),
-        approach="motion",
+        ARM, 25, 1, q_deg=q, payload_states=[40.0], warmup=Warmup(30.0, 0.0, sensor_K=0.0), approach="motion"
     )
     np.testing.assert_allclose(table[[f"q{j}_deg" for j in range(1, 7)]], q, atol=1e-6)
     assert (table["payload_kg"] == 40.0).all()

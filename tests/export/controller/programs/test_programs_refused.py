@@ -129,10 +129,7 @@ def test_a_target_that_would_leave_the_limits_keeps_its_numbers(language, cell, 
     result = corrected_program(read, cell)
     left = [r for r in result.results if not r.fine]
     assert [r.status for r in left].count("LEAVES_BOX") >= 2
-    assert {r.status for r in left} <= {
-        "LEAVES_BOX",
-        "CLAMPED",
-    }  # the last by rounding
+    assert {r.status for r in left} <= {"LEAVES_BOX", "CLAMPED"}  # the last by rounding
     assert any(r.fine for r in result.results)
     new = result.content()
     lines, new_lines = content.splitlines(), new.splitlines()
