@@ -90,7 +90,7 @@ def analyse(
     curves = joint_curves(found) if curved else None
     # A law describes the form of a residual: where only the size of the noise is in doubt, there is none.
     searched = found.case.one_end and found.verdict == "unknown" if laws is None else laws
-    complete = found.effects() and found.rankings[-1].none > SETTINGS.max_p_nothing_further
+    complete = bool(found.effects()) and found.rankings[-1].none > SETTINGS.max_p_nothing_further
     skipped = laws is None and complete and found.account.only_size_doubted
     discovery = laws_of_diagnosis(found, show) if searched and not skipped else None
     show("poses to measure next")

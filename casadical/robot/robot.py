@@ -356,7 +356,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def constants(self) -> Array:
-        """Return `constants_of` the model, shape (24 + n,); without effects torque scales are 0."""
+        """Return constants, shape (24 + n,), see `constants_of`; without effects torque scales are 0."""
         return constants_of(self, self.torque_scale if self.effects else np.zeros(self.n))
 
     @cached_property
