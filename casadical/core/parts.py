@@ -419,7 +419,7 @@ class Arm:
 
     @cached_property
     def reading_map(self) -> tuple[Array, Array]:
-        """Return A, shape (n, n), and b, shape (n,): the rows' variables are A readings + b."""
+        """Return A, (n, n), and b, (n,): DH variables of the joints are A (controller's readings) + b."""
         A, b = np.eye(self.n), np.zeros(self.n)
         for i, joint in enumerate(self.joints):
             if joint.readings is not None:

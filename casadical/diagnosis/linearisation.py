@@ -139,7 +139,7 @@ class Linearisation:
             yield ends[0], len(ends) * seams + POINT_VARIABLES * turn - seams, seams - POINT_VARIABLES, turn
 
     def _condition(self, name: str, turn: int) -> Array:
-        """Return a column at the readings of index `turn`, shape (n,).
+        """Return a condition at reading number `turn` of each stop (from 0), shape (n,).
 
         It is that of the reading, else that of the pose, else the robot's declared value.
         """

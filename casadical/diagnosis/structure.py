@@ -292,7 +292,7 @@ class _WhitenedResidual:
     def events(self, kinds: Mapping[str, Any]) -> tuple[float, ...]:
         """Return the times (0 to 1) of up to two significant steps, the most significant first.
 
-        They are at least 0.05 apart.
+        Their poses are at least 0.05 apart.
         kinds : events by label of their candidate. The sums over the poses behind each pose come
         from one pass: a step's columns are those of an event before all poses, cut off there.
         """

@@ -118,9 +118,9 @@ def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
 def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
     """Return mean and maximum displacement [m] of the measured point if these parameters are zero.
 
-    Joint variables and conditions are drawn uniformly from the range on which the robot was learnt.
-    Where it is unknown, they are drawn from the joint limits, both approach directions, the whole
-    progress, and the declared value of every other condition.
+    Joint variables and conditions are drawn uniformly from the range on which the robot was learnt,
+    approach directions from its ends. Where it is unknown, they are drawn from the joint limits,
+    both directions, the whole progress, and the declared value of every other condition.
 
     parameters : names of the parameters
     """

@@ -29,7 +29,7 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# Highest harmonic of each joint's error that is compared between campaigns.
+# Highest harmonic of each joint's error that a fleet compares between campaigns.
 MAX_COMPARED_HARMONIC = 2
 # Highest harmonic of each joint's error in the fit; those not compared only widen the uncertainty.
 MAX_FITTED_HARMONIC = 6

@@ -16,7 +16,7 @@ from casadical.measurements.kinds.surfaces import Dial, Plane, Sphere
 def kinds() -> Mapping[str, MeasurementKind]:
     """Return every kind of measurement by its name, in the order in which a table is tested.
 
-    A kind comes before those that need fewer columns.
+    A kind whose columns include those of another comes first.
     """
     order = (
         Pose,

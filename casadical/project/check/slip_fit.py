@@ -454,6 +454,7 @@ def _rotated(first: Array, second: Array, angle: Array | float) -> tuple[Array, 
 def _frame_matrix(p: Array, R: Array, y: Array) -> Array:
     """Return M, shape (3, 3), of p = M y + c - R t by least squares, from measuring to base frame.
 
+    Lengths of its columns show wrong units of length, its determinant a mirrored frame.
     p, R : flange poses in the base frame, shapes (n, 3) and (n, 3, 3)
     y : measured positions, shape (n, 3)
     """
