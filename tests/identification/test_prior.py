@@ -128,7 +128,7 @@ def test_what_nothing_is_known_of_has_mean_zero_and_no_correlation():
 
 
 def test_names_and_variances_are_checked(first):
-    with pytest.raises(InputError, match=r"prior 'elbow': joint_error_curve\.s3_q2 is nan; it must be a finite number"):
+    with pytest.raises(InputError, match=r"joint_error_curve\.s3_q2 is nan; it must be a finite number"):
         carry_over(ARM, first.with_values({"joint_error_curve.s3_q2": np.nan}))
     with pytest.raises(InputError, match="no effect 'backlash'; allowed: effects, all, joint_error_curve"):
         carry_over(ARM, first, ("backlash",))
