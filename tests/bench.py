@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.diagnosis.candidates import extended_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.effects import Effect
 from casadical.effects.formula_effect import CAMERA_SIDES, image_columns
 from casadical.measurements.derived_columns import derive
@@ -34,7 +34,7 @@ def batches(name: str, listed: bool = True) -> list[list[Effect]]:
     """Every effect of the extended list, in batches without two of the same label: first, middle and last setting."""
     found: list[list[Effect]] = [[], [], []]
     by_label: dict[str, dict[Effect, None]] = {}
-    for c in extended_candidates(robot(name)):
+    for c in candidates_of(robot(name), "extended"):
         if c.listed is listed:
             for effect in (e for v in c.variants for e in v):
                 by_label.setdefault(effect.label, {})[effect] = None

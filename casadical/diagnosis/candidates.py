@@ -46,20 +46,6 @@ class Candidate:
         return first.covers | ({first.name} if self.together else frozenset())
 
 
-def standard_candidates(robot: Robot) -> list[Candidate]:
-    """Return the standard effects as candidates; extended effects and smooth forms are unlisted."""
-    return [*_of_list("standard", robot), *_unlisted(robot), *_smooth(robot)]
-
-
-def extended_candidates(robot: Robot) -> list[Candidate]:
-    """Return the standard and extended effects as candidates; smooth forms are unlisted.
-
-    Unlisted candidates compete with the effects, but are not named as causes. Many effects of the
-    extended list resemble standard ones or the base model.
-    """
-    return [*_of_list("standard", robot), *_of_list("extended", robot), *_smooth(robot)]
-
-
 def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effect]]) -> list[Candidate]:
     """Return the candidates of a choice of effects, without those that the robot has already.
 
@@ -140,8 +126,16 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
         chosen += hit
     # A user's own effect replaces the listed one with the same label.
     unique = {c.label: c for c in reversed(chosen)}
-    rivals = [c for c in _unlisted(robot) if "standard" in names and c.label not in unique]
-    return [*unique.values()][::-1] + rivals + _smooth(robot)
+    # Extended effects without a setting that only a user can know are rivals of standard ones.
+    rivals = [
+        replace(c, listed=False)
+        for c in extended[len(standard) :]
+        if "standard" in names
+        and c.label not in unique
+        and not any(f.metadata.get("given") for f in fields(c.variants[0][0]))
+    ]
+    smooth = [replace(c, name="unknown", joint=None, listed=False) for c in _of_list("unknown", robot)]
+    return [*unique.values()][::-1] + rivals + smooth
 
 
 def _of_list(which: str, robot: Robot) -> list[Candidate]:
@@ -174,24 +168,6 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
 def _joints(variant: tuple[Effect, ...]) -> set[int | None]:
     """Return the joints (1-based) of a variant's effects, None for an effect of no joint."""
     return {e.joint for e in variant}
-
-
-def _unlisted(robot: Robot) -> list[Candidate]:
-    """Return the effects of the extended list as unlisted rivals of the standard ones.
-
-    If one of them explains the data better, the cause is not on the standard list. Effects with a
-    setting that only a user can know are excluded.
-    """
-    return [
-        replace(c, listed=False)
-        for c in _of_list("extended", robot)
-        if not any(f.metadata.get("given") for f in fields(c.variants[0][0]))
-    ]
-
-
-def _smooth(robot: Robot) -> list[Candidate]:
-    """Return the smooth forms as unlisted candidates named "unknown"."""
-    return [replace(c, name="unknown", joint=None, listed=False) for c in _of_list("unknown", robot)]
 
 
 def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str]) -> dict[str, tuple[str, ...]]:

@@ -59,7 +59,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         "assumed": assumptions(d) or None,
         "cannot": cannot_tell(d) or None,
         "ruled_out": more.ruled_out or None,
-        "gravity": gravity_as_json(d.identification) if d.identification.given.masses == "estimated" else None,
+        "gravity": gravity_as_json(d.gravity) if d.identification.given.masses == "estimated" else None,
         "missing_columns": missing_columns(d),
         "next_measurements": [
             {str(k): v for k, v in row.items() if v == v and v is not None} for row in poses.to_dict("records")

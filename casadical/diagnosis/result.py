@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -23,6 +23,7 @@ from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
+from casadical.identification.identification import METHODS, calibrated, prepared_again
 from casadical.identification.pose_errors import ModelErrors, PoseErrors
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification, LeftOut
@@ -350,6 +351,18 @@ class Diagnosis(Result):
         Raises ConvergenceError: Ipopt finds no optimum.
         """
         return self.refit(top, unlisted).robot
+
+    @cached_property
+    def gravity(self) -> Identification:
+        """Return the fit that determines the deflections under gravity of estimated masses.
+
+        It is that of `calibrate`, without outliers; with declared masses, that of the base model.
+        """
+        found = self.identification
+        if found.given.masses != "estimated" or not found.problem.weighed:  # by the caller
+            return found
+        again = replace(prepared_again(found), identification=None)
+        return calibrated(again, METHODS["SKCM"], loss="auto", priors="auto")
 
     @property
     def columns(self) -> Array:

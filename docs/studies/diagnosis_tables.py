@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from casadical.diagnosis import posterior as which
-from casadical.diagnosis.candidates import Candidate, extended_candidates, standard_candidates
+from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.plugins import signature_of
 from casadical.project.problem import read_campaign_robot
@@ -24,9 +24,9 @@ READABLE |= {"kg/kg": (1e2, "%")}
 def tables() -> dict[str, str]:
     """Return what must stand at each marked place of the pages, by its name."""
     robot = read_campaign_robot(ROOT / "problems" / "hh800")
-    standard = [c for c in standard_candidates(robot) if c.listed]
+    standard = [c for c in candidates_of(robot, "standard") if c.listed]
     names = {c.name for c in standard}
-    rare = [c for c in extended_candidates(robot) if c.listed and c.name not in names]
+    rare = [c for c in candidates_of(robot, "extended") if c.listed and c.name not in names]
     from casadical.effects import MissingCompliance
 
     rare.append(Candidate("missing_compliance@2", "missing_compliance", 2, ((MissingCompliance(2),),)))

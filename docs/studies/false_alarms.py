@@ -11,7 +11,7 @@ from campaign_robots import machine
 
 from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.diagnosis.bootstrap import noise_odds
-from casadical.diagnosis.candidates import standard_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.identification import identify
@@ -31,7 +31,7 @@ def case(robot_name: str, poses: int, number: int) -> Case:
     table = campaign(plant, (), poses, noise_mm=noise, repeatability_urad=urad, seed=int(rng.integers(1 << 30)))
     m = from_table(table, 6, "position")
     found = identify(robot, m, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
-    return make_case(found, standard_candidates(robot))
+    return make_case(found, candidates_of(robot, "standard"))
 
 
 def passes(c: Case) -> list[float]:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from casadical import identify, read_problem
-from casadical.diagnosis.candidates import extended_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cross_validation import likely_noise, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
@@ -68,7 +68,7 @@ if __name__ == "__main__":
     approaches = [f"approach{j}" for j in JOINTS]
     (grid,), (random,) = ([derive(m, approaches)[0] for m in problem.sets[name]] for name in ("identify", "report"))
     base = identify(problem.robot, grid, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
-    case = make_case(base, extended_candidates(problem.robot)).with_all_sigmas()
+    case = make_case(base, candidates_of(problem.robot, "extended")).with_all_sigmas()
     case = case.with_inliers(np.ones(len(grid), dtype=bool))
     folds = random_folds(len(grid), 0)
     print(f"real data; mm; {len(grid)} poses of the grid, {len(random)} random ones")

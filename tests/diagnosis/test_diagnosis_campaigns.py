@@ -8,7 +8,7 @@ import pytest
 from cases import ANSWERS, ROOT, diagnose, diagnosed, plant, practice, robot, simulated
 from planted import campaign, planted
 
-from casadical.diagnosis.candidates import choose, standard_candidates
+from casadical.diagnosis.candidates import candidates_of, choose
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.json_answer import as_json
@@ -202,7 +202,7 @@ def test_what_stands_for_a_missing_column_is_no_candidate_where_it_was_logged() 
     logged = simulated("ur10e", 3, n=30)
     bare = replace(logged, conditions={k: v for k, v in logged.conditions.items() if not k.startswith(("app", "temp"))})
     for m, there in ((logged, False), (bare, True)):
-        found, _ = choose(standard_candidates(r), m)
+        found, _ = choose(candidates_of(r, "standard"), m)
         kinds = {type(e) for c in found if c.label == "backlash@3" for v in c.variants for e in v}
         assert (BacklashByLoad in kinds) is there
         assert ("a warm-up that was not measured" in {c.label for c in found}) is there

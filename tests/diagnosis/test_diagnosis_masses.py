@@ -10,7 +10,7 @@ from planted import planted
 
 from casadical.core.basics import InputError
 from casadical.core.parts import Body, BodyWidth, Joint
-from casadical.diagnosis.candidates import standard_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.effects import Context, LinkMasses
 from casadical.identification.identification import identify
 from casadical.robot.robot import Robot
@@ -83,7 +83,7 @@ def test_widths_are_those_of_the_robot_file(tmp_path: Path) -> None:
     assert (sizes["m3"], sizes["y3"]) == ((0.1, "kg/kg"), (0.005, "m"))
     exact = replace(own, body_width=BodyWidth(0.0, 0.0))
     assert not list(LinkMasses.candidates(exact))
-    assert "link_masses" not in {c.label for c in standard_candidates(exact)}
+    assert "link_masses" not in {c.label for c in candidates_of(exact, "standard")}
 
 
 def test_a_mass_centre_that_nobody_declared_is_as_uncertain_as_the_link_is_long() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
-from casadical.diagnosis.candidates import extended_candidates, standard_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.effects import Effect
 from casadical.effects.plugins import effects_by_name
 from casadical.identification.accuracy import predicted
@@ -38,11 +38,11 @@ def test_effect_says_what_it_is(kind: type[Effect]) -> None:
 
 
 def test_every_effect_is_in_a_list() -> None:
-    listed = {type(e) for c in extended_candidates(robot("ur10e")) for v in c.variants for e in v}
+    listed = {type(e) for c in candidates_of(robot("ur10e"), "extended") for v in c.variants for e in v}
     # The UR10e has no rigid joint, so nothing can lack there.
     assert {c.__name__ for c in set(CLASSES) - listed} == {"MissingCompliance"}
-    standard = {c.name for c in standard_candidates(robot("ur10e")) if c.listed}
-    rare = {c.name for c in extended_candidates(robot("ur10e")) if c.listed} - standard
+    standard = {c.name for c in candidates_of(robot("ur10e"), "standard") if c.listed}
+    rare = {c.name for c in candidates_of(robot("ur10e"), "extended") if c.listed} - standard
     assert rare == {
         *("load_hysteresis", "gear_mesh", "cross_coupling", "hose_drag"),
         *("tracker_scale", "refraction", "smr_offset", "bearing_play"),

@@ -7,7 +7,7 @@ import pytest
 from bench import campaign, robot, with_columns
 
 from casadical import Body, InputError, Joint, Placement, Robot
-from casadical.diagnosis.candidates import extended_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.settings_search import neighbours
 from casadical.effects import (
     Effect,
@@ -186,7 +186,7 @@ def test_a_reflector_straight_above_the_instrument_or_in_it_has_a_position() -> 
 
 def test_steps_are_looked_for_within_the_campaign_only() -> None:
     """What moves at once at a share of the campaign: no candidate at or beyond its ends, and none twice."""
-    steps = [e for c in extended_candidates(robot(NAME)) for v in c.variants for e in v if hasattr(e, "at")]
+    steps = [e for c in candidates_of(robot(NAME), "extended") for v in c.variants for e in v if hasattr(e, "at")]
     for kind in {type(e) for e in steps}:
         times = {e.at for e in steps if type(e) is kind}
         assert len(times) > 5

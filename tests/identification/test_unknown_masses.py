@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from arms import TRACKER, planted, positions, readings, six_axis, with_bodies
 
-from casadical import Body, InputError, Joint, Robot, identify, read_robot, write_robot
+from casadical import Body, InputError, Joint, Robot, diagnose, identify, read_robot, write_robot
 from casadical.core.parts import with_estimated_masses
 from casadical.core.reporting.result import terminal
+from casadical.diagnosis.statements import statements
 from casadical.identification.accuracy import errors
 from casadical.identification.figures import parameter_tables
 from casadical.identification.gravity import as_json, gravity_deflections, in_words
@@ -182,3 +183,18 @@ def test_of_deflections_that_are_not_certain_a_bound_is_given() -> None:
     assert text.startswith("deflection under gravity between poses: at most ")
     assert "(95 %), none is certain" in text
     assert all(d.change + 1.645 * d.error > 0 for d in gravity_deflections(found))
+
+
+@pytest.mark.slow
+def test_a_diagnosis_states_the_deflections_that_a_calibration_of_the_same_poses_states() -> None:
+    """Also with wrong rows, which the base model of a diagnosis does not leave out."""
+    robot, fit, _ = sagging()
+    calibrated = identify(robot, fit, method="SKCM", loss="auto", priors="auto")
+    d = diagnose(robot, fit, ["backlash"], laws=False)
+    said = [s.text for s in statements(d) if s.about == "GRAVITY"]
+    assert said == [in_words(calibrated)]
+    assert in_words(d.identification) != said[0]
+    built, (second, *_) = made()[0], gravity_deflections(d.gravity)
+    tau = np.array([np.asarray(built.torque(q, built.parameters.values)).ravel() for q in fit.q])
+    assert second.joint == 2
+    assert second.change == pytest.approx(np.ptp(compliance_of(built, 2) * tau[:, 1]), abs=3 * second.error)

@@ -13,7 +13,7 @@ from bench import FIRST, campaign, robot, with_columns
 
 from casadical import InputError, Robot, identify, read_robot, write_robot
 from casadical.core.files import write_together
-from casadical.diagnosis.candidates import extended_candidates
+from casadical.diagnosis.candidates import candidates_of
 from casadical.effects import Backlash, Effect, JointErrorCurve, ThermalGrowth
 from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
@@ -29,7 +29,7 @@ OF_INSTRUMENTS = {
 def every_effect(name: str, rng: np.random.Generator, listed: bool) -> tuple[Effect, ...]:
     """One effect of every label, its settings drawn from the grid and moved off it."""
     by_label: dict[str, list[Effect]] = {}
-    for c in (c for c in extended_candidates(robot(name)) if c.name not in OF_INSTRUMENTS):
+    for c in (c for c in candidates_of(robot(name), "extended") if c.name not in OF_INSTRUMENTS):
         for effect in (e for v in c.variants for e in v if c.listed is listed):
             by_label.setdefault(effect.label, []).append(effect)
     chosen = [found[rng.integers(len(found))] for found in by_label.values()]
