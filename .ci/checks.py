@@ -55,7 +55,7 @@ MACHINE_PATH = re.compile(r"(?<![\w.])/(?:" + "|".join(["wor" + "k", "ro" + "ot"
 # Modules that may open files without core/reading.py, and why.
 OWN_FILES = {
     "core/files.py": "writes the files",
-    "core/compile_cache.py": "libraries of the private cache",
+    "core/mapped_function.py": "libraries of the private cache",
     "core/lazy.py": "a stub of the package",
     "core/reporting/page.py": "templates of the package",
     "core/reporting/template.py": "templates of the package",

@@ -16,7 +16,7 @@ from scipy.linalg import orth
 
 from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
-from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
+from casadical.blind_check.mujoco_physics.campaigns import MEASURED_COLUMNS
 from casadical.blind_check.prediction import nominal
 from casadical.blind_check.recording import COLUMN_PREFIXES, POSE_COUNTS, Plan, Record, Subject, draw_plans, record
 from casadical.blind_check.worker_pool import completed, workers

@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.blind_check.mujoco_physics import Hidden, Plant, campaign, draw_effect, perturb
-from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE
+from casadical.blind_check.mujoco_physics.campaigns import readings_of
+from casadical.blind_check.mujoco_physics.hidden import SECONDS_A_POSE
 from casadical.blind_check.mujoco_physics.plant import Building
 from casadical.blind_check.mujoco_physics.stops import Warmup
-from casadical.blind_check.mujoco_physics.table import readings
 from casadical.blind_check.protocol import Kind
 
 # Default numbers of measured poses that a campaign may have.
@@ -172,7 +172,7 @@ def record(subject: Subject, plan: Plan) -> Record:
     options |= {"noise_mm": 1e3 * plan.noise, "repeatability_urad": 1e6 * plan.repeatability}
     lasting, poses = plan.poses, subject.poses
     if poses is not None:
-        options |= {"q_deg": poses[readings(plant)].to_numpy(), "given": poses}
+        options |= {"q_deg": poses[readings_of(plant)].to_numpy(), "given": poses}
         if "temperature_degC" in poses:
             options["warmup"] = Warmup(start_degC=float(poses["temperature_degC"].iloc[0]))
         if "time_s" in poses:

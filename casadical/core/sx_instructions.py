@@ -1,7 +1,7 @@
 """The instructions of a CasADi SX function, read in this module only, and their evaluation.
 
 All other ways to evaluate a function use this list: on numpy arrays here, as vectorised C in
-`compile_cache`, differences without cancellation in `export.controller.functions`, and the tape of
+`mapped_function`, differences without cancellation in `export.controller.functions`, and the tape of
 the exported controllers in `export.c.tape`.
 """
 
@@ -120,7 +120,7 @@ class SxInstructions:
 
 
 class Operation(NamedTuple):
-    """An operation as a numpy function and as a C expression for `compile_cache`.
+    """An operation as a numpy function and as a C expression for `mapped_function`.
 
     numpy : function of arrays
     c : template of the C expression of two points at a time; {0} and {1} are its operands

@@ -33,7 +33,7 @@ from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
-from casadical.identification.undetermined import undetermined
+from casadical.identification.sessions import undetermined
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot

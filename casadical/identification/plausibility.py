@@ -347,7 +347,7 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
 def least_margins(robot: Robot, m: Measurements) -> Array:
     """Return the smallest margin of the robot's four-bars at each pose, shape (n,), at most 1.
 
-    It is the squared sine between rocker and diagonal (`fourbar.margin`): 1 where they are
+    It is the squared sine between rocker and diagonal (`kinematics.loop_margin`): 1 where they are
     perpendicular, negative where a four-bar cannot close, 0 also where it is undefined.
     """
     w = m.condition_matrix(robot.conditions, robot.declared)

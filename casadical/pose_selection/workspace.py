@@ -120,7 +120,7 @@ class Workspace:
     """Which poses can be measured.
 
     lower, upper : limits of the joint variables, shape (joints,) [rad or m]; None: the robot's
-    margin : smallest allowed margin of a four-bar, see `fourbar.margin`
+    margin : smallest allowed margin of a four-bar, see `kinematics.loop_margin`
     floor : height in the measuring frame below which no origin of links 2 to n, nor the tool point,
         may lie [m]; None: any
     boxes : obstacles

@@ -13,7 +13,7 @@ from casadical.core.reporting.template import template_blocks
 from casadical.identification.accuracy import Accuracy, errors
 from casadical.identification.gravity import in_words
 from casadical.identification.result import PRIOR_ONLY_REASON, Identification, LeftOut, rows_in_words
-from casadical.identification.undetermined import undetermined
+from casadical.identification.sessions import undetermined
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

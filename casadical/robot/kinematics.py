@@ -1,6 +1,13 @@
 """Kinematics of the open chain with its loops, and gravity torques.
 
 Actuated joint variables give link frames (paper, eqs. 1-3) and torques (eq. 4).
+
+All bars of a closed four-bar loop lie in one plane, perpendicular to the axis of the joint that
+carries the ground bar. Angles count from the x axis of its link at theta + q = 0. Ground bar,
+length g, from the carrying joint (origin) to the driven joint; crank, length L5, from the origin;
+coupler L4 from the crank's end to the rocker's end; rocker L3 from the driven joint and fixed to
+the driven link. With L3 = L5 and L4 = g the loop is a parallelogram and the rocker turns with the
+crank (paper, eq. 3).
 """
 
 from collections.abc import Container, Mapping, Sequence
@@ -12,13 +19,70 @@ from casadical.core.basics import InputError
 from casadical.core.parts import Arm, FourBar
 from casadical.core.transforms import Symbolic, apply, product, rot_x, rot_y, rot_z, translate
 from casadical.effects import Context
-from casadical.robot import fourbar
 from casadical.robot.parameter_list import bar_names, parameters_of
+
+# Lengths of crank L5, coupler L4, rocker L3 and ground bar g, in this order [m].
+Bars = tuple[Symbolic, Symbolic, Symbolic, Symbolic]
+
+
+def _triangle(crank: Symbolic, ground: Symbolic, lengths: Bars) -> tuple[Symbolic, Symbolic, Symbolic]:
+    """Return x, y and length [m] of the diagonal from driven joint to crank end, in its plane.
+
+    crank, ground : directions of crank and ground bar [rad]
+    """
+    L5, _L4, _L3, g = lengths
+    x = L5 * ca.cos(crank) - g * ca.cos(ground)
+    y = L5 * ca.sin(crank) - g * ca.sin(ground)
+    return x, y, ca.sqrt(x**2 + y**2)
+
+
+def rocker_angle(crank: Symbolic, ground: Symbolic, lengths: Bars, side: int) -> Symbolic:
+    """Return the direction of the rocker [rad] in the loop's plane, continuous with the crank's.
+
+    It follows from the law of cosines in the triangle driven joint - crank end - rocker end; atan2
+    keeps the digits near the folded positions. An open loop gives NaN: test `loop_margin` first.
+
+    crank, ground : angles of crank and ground bar [rad]
+    lengths : of the bars [m]
+    side : +1 or -1, the side of the diagonal on which the rocker is (see `assembly_side`)
+    """
+    x, y, diagonal = _triangle(crank, ground, lengths)
+    _, L4, L3, _ = lengths
+    cosine = diagonal**2 + L3**2 - L4**2
+    inner = ca.atan2(ca.sqrt((2 * diagonal * L3) ** 2 - cosine**2), cosine)
+    # The angle is relative to the crank, so that no branch cut of atan2 is in the working range.
+    along = x * ca.cos(crank) + y * ca.sin(crank)
+    across = y * ca.cos(crank) - x * ca.sin(crank)
+    return crank + ca.atan2(across, along) + side * inner
+
+
+def loop_margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
+    """Return the squared sine of the angle between rocker and diagonal, the margin from opening.
+
+    It is 1 where they are perpendicular, 0 at a folded position, negative for an open loop.
+
+    crank, ground : angles of crank and ground bar [rad]; lengths : of the bars [m]
+    """
+    _, _, diagonal = _triangle(crank, ground, lengths)
+    _, L4, L3, _ = lengths
+    return 1 - ((diagonal**2 + L3**2 - L4**2) / (2 * diagonal * L3)) ** 2
+
+
+def assembly_side(crank: float, ground: float, lengths: Bars) -> int:
+    """Return the side (+1 or -1, see `rocker_angle`) with the smaller angle of rocker and crank.
+
+    It is that of the uncrossed assembly.
+
+    crank, ground : angles of crank and ground bar [rad]; lengths : of the bars [m]
+    """
+    candidates = {side: float(rocker_angle(crank, ground, lengths, side)) for side in (1, -1)}
+    return min(candidates, key=lambda side: abs(float(ca.remainder(candidates[side] - crank, 2 * ca.pi))))
+
 
 # Name of a parameter -> its value or symbol [SI].
 Values = Mapping[str, Symbolic]
 
-# Minimum `fourbar.margin` (a squared sine, at most 1); below it the loop counts as folded.
+# Minimum `loop_margin` (a squared sine, at most 1); below it the loop counts as folded.
 MIN_LOOP_MARGIN = 0.02
 
 
@@ -50,7 +114,7 @@ def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Sy
     return factors
 
 
-def loop_bars(arm: Arm, number: int, values: Values) -> fourbar.Bars:
+def loop_bars(arm: Arm, number: int, values: Values) -> Bars:
     """Return crank, coupler, rocker and ground lengths of loop `number` (1-based) [m]."""
     crank, coupler, rocker = (values[name] for name in bar_names(number).values())
     return crank, coupler, rocker, values[f"a{arm.loops[number - 1].driven - 1}"]
@@ -70,13 +134,13 @@ def loop_angles(
 
 
 def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return `fourbar.margin` of every four-bar: 1 perpendicular, 0 folded, below 0 open.
+    """Return `loop_margin` of every four-bar: 1 perpendicular, 0 folded, below 0 open.
 
     actuated : variables of the actuated joints, shape (n,) [rad or m]
     """
     own = own_variables(arm, actuated, values)
     return [
-        fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))
+        loop_margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))
         for k, loop in enumerate(arm.loops, 1)
     ]
 
@@ -131,7 +195,7 @@ def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, valu
     angles : of crank and ground bar in the loop's plane [rad]; side : of the assembly, +1 or -1
     """
     loop = arm.loops[k - 1]
-    rocker = fourbar.rocker_angle(*angles, loop_bars(arm, k, values), side)
+    rocker = rocker_angle(*angles, loop_bars(arm, k, values), side)
     # theta of the driven row rotates the crank, not the link: row_factors adds it again.
     return rocker - angles[1] + loop.offset - values[f"theta{loop.driven}"]
 
@@ -150,14 +214,14 @@ def assembly_sides(arm: Arm) -> dict[int, int]:
     for k in _from_base(arm):
         loop, bars = arm.loops[k - 1], loop_bars(arm, k, nominal)
         crank, ground = angles = loop_angles(loop, middle, own, nominal)
-        if not float(fourbar.margin(ca.DM(crank), ca.DM(ground), bars)) > MIN_LOOP_MARGIN:
+        if not float(loop_margin(ca.DM(crank), ca.DM(ground), bars)) > MIN_LOOP_MARGIN:
             raise InputError(
                 f"{arm.name}: four_bar[{k}] cannot be assembled at the middle of its joints' "
                 f"ranges, crank at {np.rad2deg(crank):.1f} deg and ground bar at "
                 f"{np.rad2deg(ground):.1f} deg; give limits_deg of joints {loop.carrier} and "
                 f"{loop.driven} in whose middle it stands open, or correct the bars"
             )
-        sides[k] = fourbar.assembly_side(float(crank), float(ground), bars)
+        sides[k] = assembly_side(float(crank), float(ground), bars)
         own[loop.driven - 1] = float(_driven(arm, k, angles, sides[k], nominal))
     return sides
 

@@ -83,7 +83,7 @@ class Model:
     q : joint variables (n,) [rad or m]; w : conditions (k,), the logged columns that it uses; phi :
         parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
-    tau : gravity torques (n,) [N m or N]; margin : of each four-bar (see `fourbar.margin`)
+    tau : gravity torques (n,) [N m or N]; margin : of each four-bar (see `kinematics.loop_margin`)
     declared : values of the conditions where nothing was logged, shape (k,)
     constants : numbers that are no parameters, see `constants_of`; structure : of the robot
     """
@@ -125,7 +125,7 @@ class Model:
 
     @cached_property
     def margin(self) -> ca.SX:
-        """Return the expression of each four-bar's margin (see `fourbar.margin`), (loops,)."""
+        """Return the expression of each four-bar's margin (see `kinematics.loop_margin`), (loops,)."""
         return self._expression("margin")
 
     def _expression(self, name: str) -> ca.SX:

@@ -19,9 +19,9 @@ from open_world import NOISE_MM, ROBOTS
 from sessions import Session
 
 from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
-from casadical.blind_check.metrics import fraction, mean
 from casadical.blind_check.mujoco_physics import Hidden, perturb
-from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
+from casadical.blind_check.mujoco_physics.campaigns import MEASURED_COLUMNS
+from casadical.blind_check.scoring import fraction, mean
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Target
 from casadical.diagnosis.diagnose import Diagnosis, diagnose

@@ -36,9 +36,9 @@ from scipy import signal, stats
 from sessions import UNLISTED, Scatter, Session
 
 from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
-from casadical.blind_check.metrics import Estimate, fraction, mean
 from casadical.blind_check.mujoco_physics import LISTED, perturb
-from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
+from casadical.blind_check.mujoco_physics.campaigns import MEASURED_COLUMNS
+from casadical.blind_check.scoring import Estimate, fraction, mean
 from casadical.core.basics import Array, InputError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.search import laws_before_causes, replaces_causes

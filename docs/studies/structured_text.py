@@ -27,7 +27,7 @@ from casadical.export.c.c_source import comparison_inputs  # noqa: E402
 from casadical.export.c.kernel import compilers  # noqa: E402
 from casadical.export.c.products import Command  # noqa: E402
 from casadical.export.c.reference import correct  # noqa: E402
-from casadical.export.c.runs import RESULT_PLACES, Plan  # noqa: E402
+from casadical.export.c.structured_text import RESULT_PLACES, Plan  # noqa: E402
 from casadical.export.c.tape_program import operations, tape_program  # noqa: E402
 from casadical.project.calibration import with_knowledge  # noqa: E402
 

@@ -7,9 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from casadical.blind_check.metrics import Outcome, fraction, mean, metrics, outcome
 from casadical.blind_check.protocol import Answer, HiddenEffect, Secret, label, read_manifest
-from casadical.blind_check.scoring import score
+from casadical.blind_check.scoring import Outcome, fraction, mean, metrics, outcome, score
 from casadical.cli import app
 from casadical.core.basics import InputError
 

@@ -17,7 +17,7 @@ from casadical.compensator import (
     load_compensator,
     save_compensator,
 )
-from casadical.compensator.report import BeforeAfter, Errors
+from casadical.compensator.compensator import BeforeAfter, Errors
 from casadical.compensator.trainers.registry import trainers_by_name
 from casadical.core.basics import InputError
 from problems import smooth

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from casadical.compensator import Compensator, load_compensator, save_compensator
-from casadical.compensator.checksummed_json import checksummed
+from casadical.compensator.saving import checksummed
 from casadical.core.basics import InputError
 
 

@@ -11,7 +11,7 @@ import platformdirs
 import pytest
 
 from casadical.core import subprocesses
-from casadical.core.compile_cache import compiled, compiler
+from casadical.core.mapped_function import compiled, compiler
 
 X = ca.SX.sym("x", 2)
 CRASH = "__attribute__((constructor)) static void f(void) { __builtin_trap(); }"
@@ -43,7 +43,7 @@ def test_the_cache_is_the_users_own(cache: Path) -> None:
 
 def test_a_library_is_found_by_its_function_without_the_source(cache: Path, monkeypatch) -> None:
     compiled(F)
-    monkeypatch.delattr("casadical.core.compile_cache.source")
+    monkeypatch.delattr("casadical.core.mapped_function.source")
     assert compiled(F) is not None
     assert compiled(ca.Function("twice", [X], [3 * ca.sin(X), ca.log(-X)]), make=False) is None
 

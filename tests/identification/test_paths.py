@@ -8,8 +8,13 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical.core import compile_cache as compiled
-from casadical.core.mapped_function import COMPILATION_POINTS, LIBRARY_LOOKUP_POINTS, MAX_CHUNK_POINTS, MappedFunction
+from casadical.core.mapped_function import (
+    COMPILATION_POINTS,
+    LIBRARY_LOOKUP_POINTS,
+    MAX_CHUNK_POINTS,
+    MappedFunction,
+    compiler,
+)
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.residuals import LOSS_KNEE_SQUARE
 
@@ -58,7 +63,7 @@ def one_pose(least_squares, k, v):
 
 @pytest.fixture
 def with_compiler(monkeypatch, tmp_path):
-    if compiled.compiler() is None:
+    if compiler() is None:
         pytest.skip("no C compiler here: neither $CC nor gcc, clang or cc is on the PATH")
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
     return tmp_path / "casadical"

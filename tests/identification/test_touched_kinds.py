@@ -11,7 +11,7 @@ from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.misfit import misfit_of
-from casadical.identification.undetermined import undetermined
+from casadical.identification.sessions import undetermined
 
 FREE = ["kinematic"]
 NORMALS = np.array([[0.0, 0.1, 1.0], [1.0, 0.1, 0.2], [0.1, -1.0, 0.1]])

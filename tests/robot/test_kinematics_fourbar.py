@@ -12,7 +12,7 @@ from numeric_arm import hh800, pose, readings, rocker_angle, vector
 from casadical.core.basics import InputError
 from casadical.identification.plausibility import check_against
 from casadical.measurements.reading import from_table
-from casadical.robot import fourbar
+from casadical.robot import kinematics
 
 PARALLELOGRAM = (0.8, 1.6, 0.8, 1.6)  # L5, L4, L3, ground
 BARS = {"parallelogram": PARALLELOGRAM, "nearly": (0.803, 1.596, 0.798, 1.601), "other": (0.7, 1.65, 0.9, 1.5)}
@@ -36,10 +36,10 @@ def test_closed_form_is_the_numeric_root_over_the_feasible_range(name):
     for ground in np.deg2rad(np.arange(30, 150, 8.0)):
         for between in np.deg2rad(np.arange(4, 177, 4.0)):
             crank = ground + between
-            if fourbar.margin(crank, ground, bars) < 1e-3:
+            if kinematics.loop_margin(crank, ground, bars) < 1e-3:
                 continue
-            side = fourbar.assembly_side(np.deg2rad(180), np.deg2rad(90), bars)
-            found = float(fourbar.rocker_angle(crank, ground, bars, side))
+            side = kinematics.assembly_side(np.deg2rad(180), np.deg2rad(90), bars)
+            found = float(kinematics.rocker_angle(crank, ground, bars, side))
             expected = rocker_angle(crank, ground, bars, found)
             assert expected == pytest.approx(found, abs=1e-11)
             compared += 1
@@ -50,10 +50,10 @@ def test_parallelogram_turns_the_rocker_with_the_crank():
     arm = hh800(compliance=False)
     for q in readings(arm, np.random.default_rng(0), 20):
         crank, ground = q[2], q[1]
-        if fourbar.margin(crank, ground, PARALLELOGRAM) < 1e-2:
+        if kinematics.loop_margin(crank, ground, PARALLELOGRAM) < 1e-2:
             continue
-        side = fourbar.assembly_side(np.pi, np.pi / 2, PARALLELOGRAM)
-        assert fourbar.rocker_angle(crank, ground, PARALLELOGRAM, side) == pytest.approx(crank, abs=1e-12)
+        side = kinematics.assembly_side(np.pi, np.pi / 2, PARALLELOGRAM)
+        assert kinematics.rocker_angle(crank, ground, PARALLELOGRAM, side) == pytest.approx(crank, abs=1e-12)
         # The same robot without loop, told the passive angle theta3 - theta2 - 90 deg.
         open_chain, told = replace(arm, loops=()), q.copy()
         told[2] = q[2] - q[1] - np.pi / 2
@@ -65,10 +65,10 @@ def test_parallelogram_turns_the_rocker_with_the_crank():
 @given(st.tuples(*[st.floats(0.3, 2.0)] * 4), st.floats(-np.pi, np.pi), st.floats(-np.pi, np.pi))
 def test_margin_is_negative_exactly_where_the_loop_is_open(bars, crank, ground):
     assume(abs(diagonal_end(crank, ground, bars)) > 1e-3)
-    margin = float(fourbar.margin(crank, ground, bars))
+    margin = float(kinematics.loop_margin(crank, ground, bars))
     assume(abs(margin) > 1e-5)
     assert (margin > 0) == closes(crank, ground, bars)
-    angle = float(fourbar.rocker_angle(crank, ground, bars, 1))
+    angle = float(kinematics.rocker_angle(crank, ground, bars, 1))
     assert np.isnan(angle) == (margin < 0)
 
 
@@ -88,25 +88,25 @@ def test_loop_closes_to_the_last_digits_next_to_its_ends(lengths, crank, ground,
     L4 = diagonal + L3 - 10**digits if end == "stretched" else abs(diagonal - L3) + 10**digits
     assume(diagonal > 0.05 and diagonal + L3 > L4)
     bars = (L5, L4, L3, g)
-    assert 0 < fourbar.margin(crank, ground, bars) <= 1 + 1e-12
-    rocker = float(fourbar.rocker_angle(crank, ground, bars, side))
+    assert 0 < kinematics.loop_margin(crank, ground, bars) <= 1 + 1e-12
+    rocker = float(kinematics.rocker_angle(crank, ground, bars, side))
     coupler = abs(diagonal_end(crank, ground, bars) - L3 * np.exp(1j * rocker))
     assert coupler == pytest.approx(L4, abs=1e-13)
 
 
 def test_margin_is_one_where_rocker_and_diagonal_are_square():
     # diagonal 0.6, rocker 0.8: the coupler is 1.
-    assert fourbar.margin(0.3, 0.3, (1.6, 1.0, 0.8, 1.0)) == pytest.approx(1)
-    assert fourbar.margin(0.3, 0.3, (1.6, 1.4, 0.8, 1.0)) == pytest.approx(0)
+    assert kinematics.loop_margin(0.3, 0.3, (1.6, 1.0, 0.8, 1.0)) == pytest.approx(1)
+    assert kinematics.loop_margin(0.3, 0.3, (1.6, 1.4, 0.8, 1.0)) == pytest.approx(0)
 
 
 @pytest.mark.parametrize("name", BARS)
 def test_no_jump_along_the_range_of_the_joints(name):
     bars = BARS[name]
-    side = fourbar.assembly_side(np.pi, np.pi / 2, bars)
+    side = kinematics.assembly_side(np.pi, np.pi / 2, bars)
     crank = np.linspace(np.deg2rad(135), np.deg2rad(225), 400)
     for ground in np.deg2rad([75, 90, 105, 120]):
-        angles = np.array([float(fourbar.rocker_angle(c, ground, bars, side)) for c in crank])
+        angles = np.array([float(kinematics.rocker_angle(c, ground, bars, side)) for c in crank])
         angles = angles[~np.isnan(angles)]
         assert len(angles) > 300
         assert np.abs(np.diff(angles)).max() < 0.05

@@ -13,8 +13,8 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, nearest_rotation, quaternion
-from casadical.export.mjcf.elements import armature_and_damping, numbers, place
 from casadical.export.mjcf.equilibrium import load_mujoco
+from casadical.export.mjcf.mjcf import armature_and_damping, numbers, place
 from casadical.robot.axes import frames_at_zero
 from casadical.robot.robot import Robot
 from casadical.robot.urdf.tree import parse_xml

@@ -18,16 +18,17 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 from casadical.diagnosis.motion.response import response_of
-from casadical.export.mjcf.elements import add_spring, numbers
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.export.mjcf.mjcf import (
     HARDEST_IMPEDANCE,
     MEASURED_SITE,
     TIME_STEP_S,
     MjcfExport,
+    add_spring,
     describe,
     mjcf,
     name_joints,
+    numbers,
     xml_text,
 )
 from casadical.measurements.logs.log import JointLog

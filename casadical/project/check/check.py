@@ -16,8 +16,7 @@ from casadical.identification.identification import (
     with_method,
 )
 from casadical.identification.plausibility import check_against
-from casadical.identification.sessions import place_sessions, split_by_session, with_sessions
-from casadical.identification.undetermined import undetermined_at_start
+from casadical.identification.sessions import place_sessions, split_by_session, undetermined_at_start, with_sessions
 from casadical.measurements.columns import Source
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.check import plausible as facts

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from casadical.core.basics import InputError
 from casadical.export import Sources, inverse_kinematics
 from casadical.export.controller.commands import own_robots
-from casadical.export.controller.drivers import driver_file
 from casadical.export.controller.inverse import Postures
+from casadical.export.model_file import driver_file
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
 from casadical.robot.robot_file import read_robot, write_robot

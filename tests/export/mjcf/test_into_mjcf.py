@@ -9,8 +9,8 @@ import pytest
 
 from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy, quaternion
-from casadical.export.mjcf.elements import numbers
 from casadical.export.mjcf.into_mjcf import into_mjcf
+from casadical.export.mjcf.mjcf import numbers
 from casadical.export.model_file import robot_model
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
