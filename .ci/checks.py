@@ -62,7 +62,7 @@ OWN_FILES = {
     "diagnosis/formula_cache.py": "the package's own code, for its hash",
     "measurements/raw_table.py": "Parquet of bytes that core/reading.py has read",
     "measurements/vocabulary.py": "a list of the package",
-    "export/c/emit.py": "templates of the package",
+    "export/c/c_source.py": "templates of the package",
     "project/acceptance/certificate.py": "words of the package",
     "project/live/server.py": "the package's own page",
     "cli/terminal.py": "the null device",

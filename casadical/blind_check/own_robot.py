@@ -16,7 +16,15 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check.generation import MIN_POSES, campaign_of, engine_versions
+from casadical.blind_check.generation import (
+    COLUMN_PREFIXES,
+    MIN_POSES,
+    Plan,
+    Subject,
+    campaign_of,
+    draw_plans,
+    engine_versions,
+)
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.hidden import SECONDS_A_POSE, impossible
@@ -24,7 +32,6 @@ from casadical.blind_check.mujoco_physics.plant import Building, home_frames
 from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.prediction import answer_campaign
 from casadical.blind_check.protocol import Answer
-from casadical.blind_check.recording import COLUMN_PREFIXES, Plan, Subject, draw_plans
 from casadical.blind_check.scoring import DETECTABLE_SIGNAL, Estimate, Outcome, fraction, outcome
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError

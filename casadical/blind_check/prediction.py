@@ -54,9 +54,9 @@ def diagnosis(name: str, robot: Robot, measured: Measurements) -> dict[str, Any]
     "none" and "unknown" included, from 1e-5 on).
     """
     from casadical.diagnosis.details import Details
-    from casadical.diagnosis.json_answer import as_json
+    from casadical.diagnosis.laws.discovery import describe_unlisted
     from casadical.diagnosis.localisation import localise
-    from casadical.diagnosis.smooth_description import describe_unlisted
+    from casadical.diagnosis.text import as_json
     from casadical.project.diagnosis import Campaign, diagnose_campaign
 
     diagnosed = diagnose_campaign(Campaign(robot, (measured,))).diagnosis

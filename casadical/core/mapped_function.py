@@ -23,7 +23,7 @@ import numpy as np
 
 from casadical.core import sx_instructions
 from casadical.core.basics import Array
-from casadical.core.cache_folder import private_folder
+from casadical.core.files import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, run_within, tried
 from casadical.core.sx_instructions import OPERATIONS, SxInstructions
 

@@ -10,13 +10,12 @@ from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, net
 from casadical.diagnosis.isolability import Isolability, isolability, ruled_out
 from casadical.diagnosis.joint_curves import JointCurves, curve_of, joint_curves
 from casadical.diagnosis.laws.answer import Discovery
-from casadical.diagnosis.laws.discovery import laws_of_diagnosis
+from casadical.diagnosis.laws.discovery import describe_unlisted, laws_of_diagnosis
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_floor import noise_floor
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.pose_selection.workspace import Workspace
 
 

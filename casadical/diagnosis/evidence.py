@@ -17,10 +17,9 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns, serial_columns
-from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS, marginals_of
 from casadical.core.linear_gaussian.model import LinearModel, Projection
-from casadical.core.linear_gaussian.noise import NoiseModel, SerialNoise
+from casadical.core.linear_gaussian.noise import Grid, NoiseModel, SerialNoise
 from casadical.measurements.measurements import Noise
 
 # Grid of the instrument's standard deviation of one coordinate for likelihoods [m].

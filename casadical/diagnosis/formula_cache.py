@@ -19,8 +19,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.cache_folder import private_folder
-from casadical.core.files import write_whole
+from casadical.core.files import private_folder, write_whole
 from casadical.core.reading import MAX_JSON_BYTES, read_text
 from casadical.core.sx_instructions import Instruction, SxInstructions
 from casadical.diagnosis.seams import Seams

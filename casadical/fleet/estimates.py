@@ -31,8 +31,7 @@ from casadical.identification.remaining_errors import residuals_and_jacobian, un
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.remaining_errors import with_joint_harmonics
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Robot, with_joint_harmonics
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,13 +23,12 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import gain
+from casadical.core.linear_gaussian.noise import gain
 from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import first_of_best
 from casadical.identification.misfit import MAX_COMPARED_HARMONIC
-from casadical.robot.remaining_errors import with_joint_harmonics
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Robot, with_joint_harmonics
 
 # Usual size of a common change of all lengths, divided by the length.
 USUAL_GROWTH = 1e-4

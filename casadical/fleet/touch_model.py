@@ -29,8 +29,7 @@ from casadical.fleet.evidence import KAPPAS, RELATIVE_FREQUENCY, Candidate, cand
 from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.project.acceptance.budget import covariance_root
-from casadical.robot.remaining_errors import with_joint_harmonics
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Robot, with_joint_harmonics
 
 # Kinds of change (see `Candidate.kind`) that are usual between two days.
 USUAL_KINDS = ("joint_zero", "tool", "foot", "lengths")

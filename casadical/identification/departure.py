@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import log_gain
+from casadical.core.linear_gaussian.noise import log_gain
 from casadical.core.linear_gaussian.normal_equations import marginalised
 from casadical.core.reporting.plain import WRITTEN
 from casadical.core.reporting.result import Shown

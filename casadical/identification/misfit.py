@@ -26,8 +26,7 @@ from casadical.identification.remaining_errors import (
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.registry import find_kind
-from casadical.robot.remaining_errors import with_joint_harmonics
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Robot, with_joint_harmonics
 
 # Highest harmonic of each joint's error that a fleet compares between campaigns.
 MAX_COMPARED_HARMONIC = 2

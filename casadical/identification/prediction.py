@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.grid import gain
+from casadical.core.linear_gaussian.noise import gain
 from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.identification.fit_statistics import covariance
 from casadical.identification.identifiability import scaled_inverse

@@ -19,8 +19,7 @@ from casadical.identification.reduction import MIN_NOISE_FREEDOM
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.remaining_errors import with_joint_harmonics
-from casadical.robot.robot import RemainingErrors, Robot
+from casadical.robot.robot import RemainingErrors, Robot, with_joint_harmonics
 
 # Minimum number of poses with a measured position from which remaining errors are estimated; fewer
 # do not show the errors that no parameter explains.

@@ -188,7 +188,7 @@ def calibration_figures(
         robots = {"before": last.placed, **{method: r.robot for method, r in results.items()}}
         yield image_plane(seen, robots, "Of the poses that identified. Errors of depth are in the tooltips.")
     if where:
-        from casadical.diagnosis.figures import where_figures
+        from casadical.diagnosis.page import where_figures
 
         yield from where_figures(where)
     yield from parameter_figures(last)

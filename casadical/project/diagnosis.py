@@ -14,18 +14,16 @@ from casadical.core.reporting.figure import Figure
 from casadical.core.reporting.result import Result
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
-from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.isolability import Isolability, isolability
-from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import LogDiagnosis as LogDiagnosis
 from casadical.diagnosis.motion.result import diagnose_log
-from casadical.diagnosis.page import diagnosis_page
+from casadical.diagnosis.page import diagnosis_figures, diagnosis_page
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import gain_of
-from casadical.diagnosis.text import brief, detailed
+from casadical.diagnosis.text import as_json, brief, detailed, diagnosis_files
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_SEAMS

@@ -12,7 +12,7 @@ from casadical.core.reporting.drawing import dark as darkened
 from casadical.core.reporting.drawing import draw
 from casadical.core.reporting.figure import Figure
 from casadical.core.reporting.page import html_of
-from casadical.diagnosis.figures import diagnosis_figures
+from casadical.diagnosis.page import diagnosis_figures
 from casadical.diagnosis.result import Diagnosis
 from casadical.identification.figures import identification_figures
 from casadical.identification.result import Identification

@@ -26,7 +26,8 @@ from casadical.core.parts import GRAVITY_COLUMNS, Arm, Joint
 from casadical.core.reporting.blocks import Table, Words
 from casadical.core.reporting.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
-from casadical.effects import Effect
+from casadical.effects import Effect, JointErrorCurve
+from casadical.effects.joint_error_curve import TYPICAL_HARMONIC_RAD
 from casadical.robot.model import Model, Structure, constants_of
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
 
@@ -492,3 +493,15 @@ def dh_row(joint: Joint) -> dict[str, float | None]:
 def modified_dh(robot: Robot) -> list[dict[str, float | None]]:
     """Return the modified DH table, a dict per row with joint (from 1) and the keys of `dh_row`."""
     return [{"joint": i, **dh_row(joint)} for i, joint in enumerate(robot.joints, 1)]
+
+
+def with_joint_harmonics(robot: Robot, orders: int = 1) -> Robot:
+    """Return the robot with one added effect: harmonics of each revolute joint's error, all zero.
+
+    Joint error curves that it had, and its remaining errors with them, are removed.
+
+    orders : highest harmonic; their prior standard deviation is TYPICAL_HARMONIC_RAD [rad]
+    """
+    spread = tuple(TYPICAL_HARMONIC_RAD * (j in robot.revolute) for j in robot.numbers)
+    bare = robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
+    return bare.with_effect(JointErrorCurve(None, spread, orders=orders))

@@ -38,8 +38,7 @@ from casadical.effects import Effect
 from casadical.effects.definition import Definition
 from casadical.robot import effect_tables
 from casadical.robot.kinematics import assembly_sides
-from casadical.robot.remaining_errors import refuse_other
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Robot, with_joint_harmonics
 
 # Maximum number of joints, and of four-bars, in a robot file or a URDF chain.
 MAX_JOINTS = 100
@@ -405,7 +404,9 @@ class RobotFile(RobotTables):
         knowledge = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors, folder)
         remaining = self.remaining.errors() if self.remaining else None
         if remaining:
-            refuse_other(robot, remaining)
+            allowed = with_joint_harmonics(robot).parameters.names
+            for name in (n for n in remaining.names if n not in allowed):
+                raise InputError(f"remaining: no parameter {name!r}; there are {', '.join(allowed)}")
         robot = replace(robot, knowledge=knowledge, remaining=remaining)
         if effects:
             _refuse_undefined(robot)

@@ -1,7 +1,7 @@
 """How often noise alone passes for something, by robot and number of poses: python docs/studies/false_alarms.py
 
 Clean synthetic campaigns of the independent simulator; 1000 bootstrap draws of noise alone through the base model of
-each (see casadical.diagnosis.bootstrap), judged as `diagnose` judges. Some ten minutes of one core.
+each (see casadical.diagnosis.cross_validation), judged as `diagnose` judges. Some ten minutes of one core.
 """
 
 from pathlib import Path
@@ -10,8 +10,8 @@ import numpy as np
 from campaign_robots import machine
 
 from casadical.blind_check.mujoco_physics import campaign, perturb
-from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.candidates import candidates_of
+from casadical.diagnosis.cross_validation import noise_odds
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.identification import identify

@@ -21,8 +21,8 @@ from casadical.compensator import Compensator
 from casadical.diagnosis import page_of
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import check_refit
+from casadical.diagnosis.laws.discovery import describe_unlisted
 from casadical.diagnosis.localisation import localise
-from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.identification.accuracy import errors, predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements

@@ -11,11 +11,10 @@ import pandas as pd
 import pytest
 from checks import ROOT, Here, N
 
-from casadical.blind_check import mujoco_physics, recording
-from casadical.blind_check.generation import campaign_of, make, unabsorbed_rms
+from casadical.blind_check import generation, mujoco_physics
+from casadical.blind_check.generation import campaign_of, draw_plans, make, unabsorbed_rms
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
-from casadical.blind_check.recording import draw_plans
 from casadical.core.basics import ConvergenceError, InputError
 from casadical.project.problem import read_campaign_robot
 
@@ -85,7 +84,7 @@ def test_a_session_without_rest_is_drawn_again(monkeypatch) -> None:
             raise ConvergenceError("no rest")
         return mujoco_physics.campaign(plant, hidden, poses, seed, **options)
 
-    monkeypatch.setattr(recording, "campaign", restless)
+    monkeypatch.setattr(generation, "campaign", restless)
     subject, _ = subject_of(read_campaign_robot(ROOT / "problems" / "planar"))
     plan = replace(draw_plans(4, 1, (["joint_scale"], ["encoder_pit"]), (20,))[0], kind="one", effects=("joint_scale",))
     _, _, secret = campaign_of(subject, plan)

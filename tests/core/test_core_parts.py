@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical.core import subprocesses
 from casadical.core.basics import InputError
-from casadical.core.cache_folder import private_folder
+from casadical.core.files import private_folder
 from casadical.core.mapped_function import call
 from casadical.core.parts import Arm, Coupling, FourBar, Joint, Placement
 from casadical.core.statistics import first_of_best, ranked, rounded_at

@@ -11,9 +11,8 @@ from planted import campaign, planted
 from casadical.diagnosis.candidates import candidates_of, choose
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import Diagnosis
-from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.smooth_description import describe_unlisted
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.laws.discovery import describe_unlisted
+from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import BacklashByLoad
 from casadical.fleet.store import one_robot
 from casadical.identification.accuracy import predicted

@@ -15,9 +15,8 @@ from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import KAPPA_GRID, RHO_GRID, SIGMA_GRID_M, Evidence
 from casadical.diagnosis.joint_curves import joint_curves
-from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.settings_search import learnt_sizes
-from casadical.diagnosis.text import PAGE_WIDTH, page_of
+from casadical.diagnosis.text import PAGE_WIDTH, as_json, page_of
 from casadical.effects import JointErrorCurve, TransmissionRipple
 from casadical.effects.joint_error_curve import DEFAULT_ORDERS, EXTENDED_ORDERS, TYPICAL_HARMONIC_RAD
 from casadical.identification.accuracy import errors

@@ -14,13 +14,12 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cause_table import wires_at_fault
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
-from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case, unsure_tables
 from casadical.diagnosis.localisation import localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.observations import Stops, _by_stop, stops_in
 from casadical.diagnosis.statements import assumptions, statements
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import Backlash, ThermalGrowth, WireDrift
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import calibrate_base_model, identify, prepare

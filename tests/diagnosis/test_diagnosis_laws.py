@@ -20,7 +20,6 @@ from casadical.core.reporting.blocks import Words
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
-from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import discovery
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.candidates import descriptions, prior_weight
@@ -49,6 +48,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.noise_forms import ar_form, better_ar_form
 from casadical.diagnosis.posterior import PRIOR_FIRST, Rival
+from casadical.diagnosis.text import as_json as diagnosis_json
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
 from casadical.effects import Effect, Law

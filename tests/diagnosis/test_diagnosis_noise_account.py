@@ -10,12 +10,12 @@ from scipy import stats
 
 from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.diagnosis import page_of
-from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.noise_account import NoiseAccount, Rule, doubt_of, exceeds
 from casadical.diagnosis.noise_forms import HEAVY_TAILS
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.structure import log_chance_of
+from casadical.diagnosis.text import as_json
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 

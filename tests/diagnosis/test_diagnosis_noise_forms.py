@@ -15,11 +15,10 @@ from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
-from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
 from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noisy_joint, unequal_form
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.text import as_json, page_of
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 

@@ -10,8 +10,7 @@ import pytest
 from cases import diagnose, robot, simulated
 
 from casadical import InputError, isolability
-from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import Context, Effect, Law
 from casadical.effects.definition import read_definitions
 from casadical.effects.motion import motion_effects

@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal, norm
 
 from casadical import InputError, Joint, Measurements, Robot
-from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
+from casadical.core.linear_gaussian.noise import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
 from casadical.diagnosis import bootstrap
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.conclusion import rivals_of

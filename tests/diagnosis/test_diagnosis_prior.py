@@ -8,9 +8,8 @@ from cases import diagnose, robot
 
 from casadical import Measurements, identify
 from casadical.core.transforms import frame, from_rpy
-from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.refit import refit
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import JointErrorCurve
 from casadical.identification.accuracy import errors, predicted
 

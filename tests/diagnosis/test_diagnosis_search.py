@@ -19,15 +19,14 @@ from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.isolability import ruled_out
-from casadical.diagnosis.json_answer import as_json, diagnosis_files
+from casadical.diagnosis.laws.discovery import describe_unlisted
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.noise_forms import HEAVY_TAILS, noisy_joint_label
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.statements import statements
-from casadical.diagnosis.text import page_of
+from casadical.diagnosis.text import as_json, diagnosis_files, page_of
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Measurements, Noise

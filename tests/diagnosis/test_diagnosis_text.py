@@ -13,7 +13,6 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.held_out_gap import COURSE_COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
-from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.localisation import BIN_COLUMNS, DIRECTION_COLUMNS, PART_COLUMNS, Localisation
 from casadical.diagnosis.next_poses import probability_after
 from casadical.diagnosis.noise_account import NoiseAccount, Rule
@@ -21,7 +20,7 @@ from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import headline, missing_columns, not_logged
-from casadical.diagnosis.text import PAGE_WIDTH, brief, page_of
+from casadical.diagnosis.text import PAGE_WIDTH, as_json, brief, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
 from casadical.measurements.measurements import Noise
 

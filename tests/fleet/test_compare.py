@@ -34,7 +34,7 @@ from casadical.fleet.evidence import (
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import with_unknown_masses
 from casadical.identification.misfit import misfit_of, wide_fit
-from casadical.robot.remaining_errors import with_joint_harmonics
+from casadical.robot.robot import with_joint_harmonics
 
 ROOT = Path(__file__).parents[2]
 

@@ -11,7 +11,7 @@ from casadical.effects import GearEccentricity
 from casadical.identification.accuracy import predicted
 from casadical.identification.remaining_errors import learn_remaining, residuals_and_jacobian
 from casadical.measurements.measurements import unmeasured
-from casadical.robot.remaining_errors import with_joint_harmonics
+from casadical.robot.robot import with_joint_harmonics
 
 ARM = arms.six_axis()
 SIZE = 3e-4  # rad, of each joint's own error that no calibration has: some tenths of a millimetre

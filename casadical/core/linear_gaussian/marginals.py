@@ -15,8 +15,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Columns, Combined
-from casadical.core.linear_gaussian.grid import log_gain
 from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.noise import log_gain
 from casadical.core.linear_gaussian.normal_equations import Joined, joined
 from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, CachedRows, GridSums
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Combined, MemoryLimits, array_columns, combined
-from casadical.core.linear_gaussian.grid import Grid
-from casadical.core.linear_gaussian.noise import NoiseModel, Ratio
+from casadical.core.linear_gaussian.noise import Grid, NoiseModel, Ratio
 
 
 @dataclass(frozen=True, eq=False)

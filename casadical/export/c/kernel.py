@@ -14,12 +14,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from casadical.core.basics import Array, CasadicalError, InputError
-from casadical.core.cache_folder import private_folder
-from casadical.core.files import write_whole
+from casadical.core.files import private_folder, write_whole
 from casadical.core.reading import read_bytes
 from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, run_within, tried
+from casadical.export.c.c_source import filled, template
 from casadical.export.c.coefficients import NUMPY_TYPE, Real
-from casadical.export.c.emit import filled, template
 
 # Compiler options under which an export must compile without warnings.
 WARNING_FLAGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")

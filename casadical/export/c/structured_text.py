@@ -14,10 +14,9 @@ from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from itertools import groupby
 
-from casadical.export.c.c_source import joint_units, self_test_inputs
+from casadical.export.c.c_source import constants, filled, joint_units, self_test_inputs, template
 from casadical.export.c.chord import pose_size, prepared_size
 from casadical.export.c.coefficients import ADDED_TURNS, COEFFICIENTS, NUMPY_TYPE, Real, turn_parts
-from casadical.export.c.emit import constants, filled, template
 from casadical.export.c.products import Command
 from casadical.export.c.reference import correct, network
 from casadical.export.c.tape import COMMUTATIVE_OPERATIONS, Node, Tape

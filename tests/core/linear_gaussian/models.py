@@ -6,9 +6,8 @@ import numpy as np
 from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.columns import array_columns
-from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.model import LinearModel
-from casadical.core.linear_gaussian.noise import NoiseModel
+from casadical.core.linear_gaussian.noise import Grid, NoiseModel
 
 SIGMAS = np.geomspace(1e-2, 1.0, 5)
 KAPPAS = np.array([0.5, 1.0, 4.0])

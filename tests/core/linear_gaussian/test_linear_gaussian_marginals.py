@@ -8,10 +8,9 @@ from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, 
 from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.columns import array_columns, serial_columns
-from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW
 from casadical.core.linear_gaussian.marginals import Marginals
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
-from casadical.core.linear_gaussian.noise import serial_noise
+from casadical.core.linear_gaussian.noise import SIGMA_LOG_LIKELIHOOD_WINDOW, serial_noise
 from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS
 
 GROUPS = [np.array([0]), np.array([1, 2]), np.array([5]), np.array([0, 1, 2])]
