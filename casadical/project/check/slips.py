@@ -141,7 +141,7 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     level = [none, *(none.at("factor", int(i), 180 / np.pi) for i in np.flatnonzero(little))]
     seen, fits = set(level), {h: fit.placed(h) for h in (Hypothesis.none(robot.n), none)}
     share = fit.shares(level)
-    # More slips of one table at once are not searched for.
+    # More slips of one table at once are not searched for; that of a heavy arm is two of a hypothesis.
     max_slips = 4
     for depth in range(max_slips + 1):
         show(f"slips, search {depth + 1} of {max_slips + 1}")
@@ -155,7 +155,7 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
         parents = [level[k] for k in selected]
         first = [] if depth else _reversed_joints(parents, len(fit.rows))
         moves = dict.fromkeys((*first, *_all_moves(fit, parents, robot, turning, shifts)))
-        level = [h for h in moves if h not in seen and h.cost <= max_slips]
+        level = [h for h in moves if h not in seen and h.cost <= max_slips + 1]
         seen.update(level)
         if not level:
             break

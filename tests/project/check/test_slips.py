@@ -54,6 +54,11 @@ def heavy_arm(q: np.ndarray, p: np.ndarray) -> Table:
     return np.column_stack([q[:, :2], third, -q[:, 3:]]), p
 
 
+def heavy_arm_and_two_zeros(q: np.ndarray, p: np.ndarray) -> Table:
+    q, p = heavy_arm(q, p)
+    return q + [0, 37, 0, 0, 90, 0], p
+
+
 CASES = {
     signs_and_columns: ("columns q4 and q5 are swapped", "joint 2 counts the other way"),
     shifted_and_left_handed: ("the readings stand 1 row after their positions", "the measuring frame is left-handed"),
@@ -61,6 +66,11 @@ CASES = {
     heavy_arm: (
         "joint 3 counts the other way (turn the sign of q3); q3 counts from the horizontal, not from link 2",
         "(turn the sign of q4); joint 5 counts the other way (turn the sign of q5); joint 6 counts the other way",
+    ),
+    heavy_arm_and_two_zeros: (
+        "q3 counts from the horizontal, not from link 2",
+        "the zero of joint 2 is 3",
+        "joint 4 c",
     ),
     coupled_and_free_zero: ("q3 counts from the horizontal, not from link 2", "the zero of joint 4 is 3"),
 }
