@@ -56,7 +56,7 @@ def heavy_arm(q: np.ndarray, p: np.ndarray) -> Table:
 
 def heavy_arm_and_two_zeros(q: np.ndarray, p: np.ndarray) -> Table:
     q, p = heavy_arm(q, p)
-    return q + [0, 37, 0, 0, 90, 0], p
+    return q + np.array([0, 37, 0, 0, 90, 0]), p
 
 
 CASES = {
