@@ -313,7 +313,7 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
         inside = np.clip(step, lower, upper)
         if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
             best, least = inside, cost
-        beyond, slope = free & (inside != step), g + H @ inside
+        beyond, slope = free & (inside != step), g + H @ step
         drawn = fixed & np.where(inside - lower < upper - inside, slope < 0, slope > 0)
         wrong = beyond | drawn
         if not wrong.any():

@@ -16,6 +16,7 @@ from casadical.identification.identification import prepare
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior
+from casadical.identification.solver import bounded_step
 from casadical.robot.robot import Knowledge
 
 PLANAR = arms.planar()
@@ -85,6 +86,33 @@ def test_a_step_is_that_of_bounded_least_squares(result) -> None:
         assert narrow.decrement(far) == pytest.approx(gain)
         hits += int(((step == lower - far) | (step == upper - far)).sum())
     assert hits > 80
+
+
+@pytest.mark.parametrize("common", [0.0, 2.0])
+def test_a_bounded_step_meets_the_conditions_of_an_optimum(common: float) -> None:
+    """Of variables half of which begin at a bound; with a common part they are strongly correlated."""
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        A, b = rng.normal(size=(7, 6)) + common * rng.normal(size=(7, 1)), rng.normal(size=7)
+        at, below = rng.random(6) < 0.5, rng.random(6) < 0.5
+        lower, upper = -np.where(at & below, 0.0, rng.random(6)), np.where(at & ~below, 0.0, rng.random(6))
+        step = bounded_step(A.T @ b, A.T @ A, lower, upper, at)
+        slope = A.T @ (A @ step + b)
+        assert ((lower <= step) & (step <= upper)).all()
+        assert (slope[step > lower] < 1e-9).all()
+        assert (slope[step < upper] > -1e-9).all()
+
+
+def test_a_pose_that_was_not_fitted_is_an_outlier_by_its_turn_alone() -> None:
+    arm = arms.six_axis()
+    m = arms.poses(arm, arms.readings(arm, 60, 1), 2)
+    fitted, later = m[np.arange(40)], m[np.arange(40, 60)]
+    result = identify(arm, fitted, ["placement", "a2", "theta2"])
+    turned = later.orientation.copy()
+    turned[7] = turned[7] @ from_rpy(np.array([0.0, 3e-3, 0.0]))
+    kept, out = result.without_outliers(replace(later, orientation=turned))
+    assert [row.row for row in out] == [later.row[7]]
+    assert kept.row.tolist() == np.delete(later.row, 7).tolist()
 
 
 def test_round_off_takes_no_value_beyond_its_bounds(result) -> None:
