@@ -7,16 +7,18 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from io import StringIO
 from pathlib import Path
 
 import click
 import pytest
 import typer
 from command_line import ROOT
+from rich.console import Console
 
-from casadical.cli import app
+from casadical.cli import app, terminal
 from casadical.cli import options as o
-from casadical.cli.terminal import DIAGNOSIS, share
+from casadical.cli.terminal import CHECK, DIAGNOSIS, PLAN, share
 
 BIN = Path(sys.executable).parent
 
@@ -162,3 +164,18 @@ def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
 )
 def test_the_bar_of_a_diagnosis_stands_where_the_step_begins(text: str, done: float) -> None:
     assert share(text, DIAGNOSIS) == pytest.approx(done)
+
+
+@pytest.mark.parametrize("steps", [DIAGNOSIS, CHECK, PLAN])
+def test_a_step_begins_within_the_work(steps: terminal.Steps) -> None:
+    assert all(0 <= begun < 1 for begun in steps.values())
+
+
+def test_the_bar_on_a_terminal_shows_step_and_share(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = StringIO()
+    monkeypatch.setattr(screen, "isatty", lambda: True)
+    console = Console(file=screen, force_terminal=True, width=120)
+    monkeypatch.setattr(terminal, "Console", lambda **_: console)
+    with terminal.working(False, "choosing", "arm", PLAN) as show:
+        show("accuracy at the task")
+    assert re.search(r"60%.*arm: accuracy at the task", screen.getvalue())

@@ -75,6 +75,8 @@ def test_poses_are_those_of_least_reprojection_error() -> None:
     _, q, T, _ = stations(6)
     exact = from_table(table(q, pixels(T)), 6)
     np.testing.assert_allclose(exact.view.T, T, atol=1e-8)
+    started = np.array([exact.view.images._start(k) for k in range(6)])  # by the homography alone
+    np.testing.assert_allclose(started, T, atol=1e-7)
     assert (exact.kind, len(exact), exact.row.tolist()) == ("pose", 6, [2 + 48 * k for k in range(6)])
     seen = pixels(T) + np.random.default_rng(0).normal(0, PIXEL, (6, 48, 2))
     found = from_table(table(q, seen), 6).view.T

@@ -17,7 +17,7 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.effects import Backlash, Effect, JointErrorCurve, ThermalGrowth
 from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
-from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, blocks
+from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, RemainingErrors, blocks
 from casadical.robot.robot_file import robot_files, robot_from, to_toml
 
 # What reads distances or full poses has columns of its own, of where it measures to.
@@ -322,8 +322,19 @@ def test_a_covariance_is_refused_where_it_is_made() -> None:
         Covariance(("a", "b"), np.array([[1.0, 0.5], [0.0, 1.0]]))
     with pytest.raises(InputError, match=r"shape \(2, 2\) for 1 names"):
         Covariance(("a",), np.eye(2))
+    Covariance(("a", "known"), np.diag([1.0, 0.0]))
     with pytest.raises(InputError, match="payload_kg"):
         Knowledge(conditions={"payload_kg": (3.0, 1.0)})
+
+
+def test_remaining_errors_are_read_as_written_and_refused_where_they_do_not_fit() -> None:
+    made = RemainingErrors(("a2", "a3"), np.array([[1e-4, 0.0, 1e-5], [2e-5, 3e-5, 0.0]]), 2e-5, 40)
+    again = robot_from(tomllib.loads(to_toml(replace(robot("ur10e"), remaining=made))), "arm").remaining
+    assert (again.names, again.rest, again.poses) == (made.names, made.rest, made.poses)
+    np.testing.assert_allclose(again.factor, made.factor, rtol=1e-6)
+    for factor in (made.factor.T, made.factor[0], made.factor * np.nan):
+        with pytest.raises(InputError, match="a row of finite numbers for each name"):
+            replace(made, factor=factor)
 
 
 def test_of_parameters_that_a_robot_no_longer_has_nothing_is_written() -> None:

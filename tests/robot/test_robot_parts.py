@@ -121,10 +121,10 @@ def test_an_upright_joint_has_the_gear_of_a_twentieth() -> None:
     )  # was 5e-11: round-off over it was a load
     bare = Robot("arm", tuple(replace(j, body=None) for j in joints), tool=Placement(np.eye(4)))
     assert (bare.torque_scale > 0).all()  # something to divide by
-    upright = tuple(replace(j, alpha=0.0, a=0.5) for j in joints)
+    upright = tuple(replace(j, alpha=0.0, a=0.8) for j in joints)
     scara = Robot("scara", upright, tool=Placement(np.eye(4)))
     # Torques of a base that leans by a degree were 1e9 times the great ones: 400 km of a friction's wind-up.
-    assert scara.torque_scale == pytest.approx([MIN_TORQUE_OF_LARGEST**2 * 4 * 9.81 * 1.0] * 2, rel=0.01)
+    assert scara.torque_scale == pytest.approx([MIN_TORQUE_OF_LARGEST**2 * 4 * 9.81 * 1.6] * 2, rel=0.01)
 
 
 def nested(theta: tuple[float, float] = (0.0, 0.0)) -> Robot:
