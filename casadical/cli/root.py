@@ -19,7 +19,7 @@ from casadical.cli.verify import certificate, verify
 from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
 
 # Command -> its parameters that name outputs, in addition to those that do so in all commands.
-ADDITIONAL_OUTPUTS = {"new": ("folder",), "verify": ("update", "chart", "poses")}
+ADDITIONAL_OUTPUTS = {"new": ("folder",), "verify": ("update", "chart")}
 
 
 class RobotFirst(TyperGroup):

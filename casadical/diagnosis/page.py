@@ -12,14 +12,21 @@ import pandas as pd
 from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm
 from casadical.core.reporting.drawing import LEGEND_HEIGHT_PX, TITLE_HEIGHT_PX
 from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series
-from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.joint_curves import CURVE_COLUMNS, JointCurve, JointCurves
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.statements import Statement, floor_of, noiseless_errors, statements
+from casadical.diagnosis.statements import (
+    CauseRow,
+    Statement,
+    cause_rows,
+    floor_of,
+    layer_rows,
+    noiseless_errors,
+    statements,
+)
 from casadical.effects.plugins import signature_of
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import (

@@ -10,18 +10,21 @@ from casadical.core.files import json_text
 from casadical.core.reporting.blocks import Table, Words, mm
 from casadical.core.reporting.plain import plain
 from casadical.core.reporting.result import plain_text
-from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows, layers
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.isolability import cannot_tell
 from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import (
+    LAYER_COLUMNS,
     SUBJECTS,
     Statement,
     assumptions,
+    cause_rows,
     floor_of,
     headline,
+    layer_rows,
+    layers,
     missing_columns,
     readings_of,
     statements,

@@ -208,8 +208,6 @@ def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
 
 # Grid of the ratio of a change's prior standard deviation to its usual size.
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
-# Information below which a direction counts as undetermined, in squared units of its usual size.
-MIN_INFORMATION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,19 +8,16 @@ usual spread, which counts as much as a few robots (Gelman and Hill 2007, chapte
 robots do not give a spread of zero. A parameter whose mean is far beyond its standard error is a
 fault of the drawing. The spread, with the covariance of the mean, is the prior of a robot that is
 still to be measured.
-
-The drawings of the types are compared here too: where a parameter stands in a robot file, and which
-types have nearly the same drawing.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import combinations, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -29,7 +26,6 @@ import pandas as pd
 
 from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.linear_gaussian.normal_equations import inverse_of
-from casadical.core.parameters import Parameter
 from casadical.core.reading import load_toml
 from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.project.problem import read_problem_robot
@@ -62,6 +58,7 @@ class Common:
     spread : standard deviation of single robots about the mean, shape (k,), in units of `scale`
     scale : unit of each parameter, shape (k,) [SI]
     covariance : covariance of the mean, shape (k, k), in units of `scale`
+    sliding : names of the compliances of prismatic joints
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -83,6 +80,7 @@ class Common:
     spread: Array
     scale: Array
     covariance: Array
+    sliding: frozenset[str] = frozenset()
 
     @property
     def faults(self) -> tuple[tuple[str, float, float], ...]:
@@ -93,14 +91,14 @@ class Common:
     def readable(self, name: str, *values: float) -> tuple[Any, ...]:
         """Return values of a parameter in the unit of reports, then that unit.
 
-        The unit is deg, mm, or urad/(N m) for a compliance.
+        The unit is deg, mm, or urad/(N m) for a compliance, um/N for that of a prismatic joint.
 
         values : in units of the parameter's scale
         """
         unit = "deg" if name.startswith(("alpha", "beta", "theta")) or "." in name else "mm"
         factor = {"deg": np.rad2deg(1.0), "mm": 1e3}[unit]
         if name.startswith("c") and name[1:].isdigit():
-            unit, factor = "urad/(N m)", 1e6
+            unit, factor = "um/N" if name in self.sliding else "urad/(N m)", 1e6
         scale = float(self.scale[self.names.index(name)])
         return (*(v * scale * factor for v in values), unit)
 
@@ -243,123 +241,65 @@ def population_of(
     return mean, C, np.sqrt(tau2)
 
 
-@dataclass(frozen=True, eq=False)
-class Drawing:
-    """The nominal robot of a type, as its robot file describes it.
+def correction(common: Common, name: str, robot: Robot, standard: bool | None) -> str:
+    """Return the text of a parameter's correction: place in the robot file, key, new value.
 
-    name : name of the type
-    count : number of robots of the type
-    robot : the robot with its nominal values
-    standard : whether its file has standard DH rows; None if it has no rows (URDF)
+    An example is "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; the text is empty if the file has
+    no key for the parameter.
+
+    common : what the robots of this type have in common; name : parameter
+    robot, standard : nominal robot of the type, and its rows, as of `drawings_of`
     """
-
-    name: str
-    count: int
-    robot: Robot
-    standard: bool | None
-
-    @property
-    def robots(self) -> str:
-        """Return the number of robots as text, such as "3 robots"."""
-        return f"{self.count} robot{'s' * (self.count > 1)}"
-
-    def correction(self, common: Common, name: str, near: Sequence[Drawing] = ()) -> str:
-        """Return the text of a parameter's correction: place in the robot file, key, new value.
-
-        An example is "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; the text is empty if the file has
-        no key for the parameter.
-
-        common : what the robots of this type have in common; name : parameter
-        near : nearly equal drawings; if the value of one of them is close enough to the corrected
-            one, it is proposed instead, so that the drawings agree
-        """
-        if self.standard is None or name not in self.robot.parameters.names:
-            return ""
-        drawn, k = self.robot.parameters[name].value, common.names.index(name)
-        new = drawn + common.mean[k] * common.scale[k]
-        good = max(MIN_FAULT_SIGMAS * common.std_error[k], MIN_FAULT_SIZE) * common.scale[k]
-        taken = next((other for other in near if abs(other.robot.parameters[name].value - new) <= good), None)
-        new, said = (taken.robot.parameters[name].value, f"; {taken.robots} so") if taken else (new, "")
-        place = re.fullmatch(r"(L[345])(?:_(\d+))?|([a-z]+)(\d+)", name)
-        if not place or (place[3] == "beta" and self.standard):
-            return ""
-        if place[3] == "c":
-            turning = self.robot.joints[int(place[4]) - 1].kind == "revolute"
-            key = "stiffness_Nm_per_rad" if turning else "stiffness_N_per_m"
-            given = f"{1 / drawn:.6g}" if drawn else "no number"
-            number = f"{1 / new:.12g}" if taken else f"{float(f'{1 / new:.3g}'):.0f}"
-            return f"[[joint]] {place[4]}: {key} = {number} (drawn {given}{said})" if new > 0 else ""
-        # Keys of DH parameters in a joint's table of a robot file. Unless the file has standard DH
-        # rows, the first four belong to the row after the number in the parameter's name.
-        row_keys = {
-            "alpha": "alpha_deg",
-            "a": "a_mm",
-            "beta": "beta_deg",
-            "b": "b_mm",
-            "theta": "theta_deg",
-            "d": "d_mm",
-        }
-        # Keys of the lengths of a four-bar in a robot file.
-        bar_keys = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
-        if place[1]:
-            key, where = bar_keys[place[1]], f"[[four_bar]] {place[2] or 1}"
-        else:
-            key = row_keys[place[3]]
-            where = f"[[joint]] {int(place[4]) + (place[3] in ('alpha', 'a', 'beta', 'b') and not self.standard)}"
-        factor = 1e3 if key.endswith("mm") else np.rad2deg(1.0)
-        digits = max(0, int(np.ceil(-np.log10(common.std_error[k] * common.scale[k] * factor))))
-        number = f"{factor * new:.12g}" if taken else f"{factor * new:.{min(digits, 6)}f}"
-        return f"{where}: {key} = {number} (drawn {factor * drawn:.9g}{said})"
+    if standard is None or name not in robot.parameters.names:
+        return ""
+    drawn, k = robot.parameters[name].value, common.names.index(name)
+    new = drawn + common.mean[k] * common.scale[k]
+    place = re.fullmatch(r"(L[345])(?:_(\d+))?|([a-z]+)(\d+)", name)
+    if not place or (place[3] == "beta" and standard):
+        return ""
+    if place[3] == "c":
+        turning = robot.joints[int(place[4]) - 1].kind == "revolute"
+        key = "stiffness_Nm_per_rad" if turning else "stiffness_N_per_m"
+        given = f"{1 / drawn:.6g}" if drawn else "no number"
+        number = f"{float(f'{1 / new:.3g}'):.0f}"
+        return f"[[joint]] {place[4]}: {key} = {number} (drawn {given})" if new > 0 else ""
+    # Keys of DH parameters in a joint's table of a robot file. Unless the file has standard DH
+    # rows, the first four belong to the row after the number in the parameter's name.
+    row_keys = {
+        "alpha": "alpha_deg",
+        "a": "a_mm",
+        "beta": "beta_deg",
+        "b": "b_mm",
+        "theta": "theta_deg",
+        "d": "d_mm",
+    }
+    # Keys of the lengths of a four-bar in a robot file.
+    bar_keys = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
+    if place[1]:
+        key, where = bar_keys[place[1]], f"[[four_bar]] {place[2] or 1}"
+    else:
+        key = row_keys[place[3]]
+        where = f"[[joint]] {int(place[4]) + (place[3] in ('alpha', 'a', 'beta', 'b') and not standard)}"
+    factor = 1e3 if key.endswith("mm") else np.rad2deg(1.0)
+    digits = max(0, int(np.ceil(-np.log10(common.std_error[k] * common.scale[k] * factor))))
+    number = f"{factor * new:.{min(digits, 6)}f}"
+    return f"{where}: {key} = {number} (drawn {factor * drawn:.9g})"
 
 
-def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
-    """Return the drawings of the hundred most frequent types that can be read, by type.
+def drawings_of(good: pd.DataFrame) -> dict[str, tuple[Robot, bool | None]]:
+    """Return the nominal robots of the hundred most frequent types that can be read, by type.
+
+    Each comes with whether its file has standard DH rows; None if it has no rows (URDF).
 
     good : rows of robots that were calibrated, as of a store
     """
     drawings = {}
     # The drawings of the hundred largest types are read.
-    for kind, count in good["type"].value_counts().head(100).items():
+    for kind in good["type"].value_counts().head(100).index:
         row = good[good["type"] == kind].iloc[0]
         with suppress(CasadicalError, OSError):
             path = Path(row["folder"]) / problem_file(Path(row["folder"])).robot
             rows = None if path.suffix == ".urdf" else load_toml(path)
             standard = None if rows is None else rows.get("convention") == "standard"
-            robot = read_problem_robot(row["folder"])
-            drawings[str(kind)] = Drawing(str(row["type_name"]), int(count), robot, standard)
+            drawings[str(kind)] = read_problem_robot(row["folder"]), standard
     return drawings
-
-
-def near(drawings: Mapping[str, Drawing], kind: str) -> list[Drawing]:
-    """Return the drawings that nearly equal that of the type `kind`, the most frequent first.
-
-    They differ in one to three nominal values, see `_differences`.
-    """
-    return [other for other in drawings.values() if _differences(drawings[kind], other)]
-
-
-def nearly_one(drawings: Mapping[str, Drawing]) -> Iterator[str]:
-    """Yield a sentence for each pair of types whose drawings differ in few values.
-
-    This happens where drawings are corrected one robot at a time.
-    """
-    for (first, one), (second, other) in combinations(drawings.items(), 2):
-        if pairs := _differences(one, other):
-            both = ((p, f"{p.readable(p.value):.9g} and {p.readable(q.value):.9g}") for p, q in pairs)
-            words = ", ".join(f"{p.name} ({values} {p.readable_unit})" for p, values in both)
-            names = (f"{d.name}, drawing {kind} ({d.robots})," for kind, d in ((first, one), (second, other)))
-            yield f"types {' and '.join(names)} differ only in {words}: corrected one by one? Then correct all of them"
-
-
-def _differences(one: Drawing, other: Drawing) -> list[tuple[Parameter, Parameter]]:
-    """Return the pairs of parameters in which two nearly equal drawings differ.
-
-    The list is empty where the drawings are equal, or differ by more than that.
-    """
-    first, second = ([p for p in d.robot.parameters if p.group not in ("base", "tool")] for d in (one, other))
-    if [p.name for p in first] != [p.name for p in second]:
-        return []
-    pairs = [(p, q) for p, q in zip(first, second, strict=True) if f"{p.value:.9g}" != f"{q.value:.9g}"]
-    # Drawings are nearly equal if at most three nominal values differ, each by at most five prior
-    # standard deviations.
-    return pairs if len(pairs) <= 3 and all(abs(q.value - p.value) <= 5.0 * p.prior for p, q in pairs) else []

@@ -16,9 +16,10 @@ from casadical.core.reporting.plain import WRITTEN, Key, plain
 from casadical.core.reporting.result import Result
 from casadical.fleet.changes import FALSE_ALARM_PROBABILITY, exceeded_residual, residuals_figure
 from casadical.fleet.estimates import date_text
-from casadical.fleet.hierarchy import MIN_ROBOTS_PER_TYPE, Common, Drawing, common_of, drawings_of, near, nearly_one
+from casadical.fleet.hierarchy import MIN_ROBOTS_PER_TYPE, Common, common_of, correction, drawings_of
 from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
+from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
 # Largest number of rows in a table on the terminal.
@@ -37,7 +38,7 @@ class Fleet(Result):
     commons : what robots of one type have in common, for types with five robots or more
     outliers : names of robots whose error is an outlier among those of their type
     notes : sentences on what was assumed of the robots
-    drawings : nominal robots of the types whose files can be read, by type
+    drawings : nominal robots of the types whose files can be read, by type, as of `drawings_of`
     computed : number of robots that were computed in this run, while the others come from the
         store; None: unknown
 
@@ -79,7 +80,7 @@ class Fleet(Result):
     commons: tuple[Common, ...]
     outliers: tuple[str, ...] = field(metadata=WRITTEN)
     notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
-    drawings: Mapping[str, Drawing] = field(default_factory=dict)
+    drawings: Mapping[str, tuple[Robot, bool | None]] = field(default_factory=dict)
     computed: int | None = field(default=None, metadata=WRITTEN)
 
     @property
@@ -179,7 +180,7 @@ class Fleet(Result):
         return texts
 
     def _correction(self, common: Common, name: str) -> str:
-        """Return the text of a parameter's correction in a type's robot file: `Drawing.correction`.
+        """Return the text of a parameter's correction in a type's robot file, as of `correction`.
 
         It is empty if no file was read.
 
@@ -187,7 +188,7 @@ class Fleet(Result):
         """
         if common.type not in self.drawings:
             return ""
-        return self.drawings[common.type].correction(common, name, near(self.drawings, common.type))
+        return correction(common, name, *self.drawings[common.type])
 
     def _faults(self) -> Iterator[Words]:
         """Yield a warning on faults of the drawing, for each type with any, with their corrections.
@@ -201,7 +202,7 @@ class Fleet(Result):
         for c in self.commons:
             faults = [(name, *c.readable(name, mean, error)) for name, mean, error in c.faults]
             for soft, remedy in remedies.items():
-                own = [fault for fault in faults if fault[-1].startswith("urad") == soft]
+                own = [fault for fault in faults if fault[-1].endswith(("/(N m)", "/N")) == soft]
                 if own:
                     first, *more = (f"{size:+.3g} {unit} +/- {sigma:.1g}" for _, size, sigma, unit in own)
                     names = [name for name, *_ in own]
@@ -316,10 +317,13 @@ def fleet_of(robots: pd.DataFrame, notes: Sequence[str] = (), computed: int | No
     good = robots[robots["status"] == "ok"]
     types = [some for _, some in good.groupby("type", sort=False) if len(some) >= MIN_ROBOTS_PER_TYPE]
     outliers = [name for some in types for name in _outliers(some)]
-    commons = [replace(common_of(records(some)), name=some["type_name"].iloc[0]) for some in types]
-    drawings = drawings_of(good)
-    said = (*notes, *nearly_one(drawings))
-    return Fleet(robots, tuple(commons), tuple(outliers), said, drawings, computed)
+    drawings, commons = drawings_of(good), []
+    for some in types:
+        common = common_of(records(some))
+        joints = drawings[common.type][0].joints if common.type in drawings else ()
+        sliding = frozenset(f"c{k}" for k, joint in enumerate(joints, 1) if joint.kind != "revolute")
+        commons.append(replace(common, name=some["type_name"].iloc[0], sliding=sliding))
+    return Fleet(robots, tuple(commons), tuple(outliers), tuple(notes), drawings, computed)
 
 
 def name_of_type(names: Sequence[str]) -> str:

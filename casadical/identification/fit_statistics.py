@@ -11,7 +11,7 @@ from casadical.core.basics import Array
 from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import LeastSquares
-from casadical.identification.residuals import loss_slope
+from casadical.identification.residuals import loss_and_slope
 from casadical.identification.solver import bounded_step
 
 
@@ -71,7 +71,7 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
 def _weighted(problem: LeastSquares, v: Array) -> Iterator[tuple[Array, Array]]:
     """Yield the loss weights, shape (rows,), and the Jacobian, (rows, size), of some residuals."""
     for k, r, J in problem.parts(v):
-        yield np.repeat(loss_slope(problem.loss_of(k), r), r.shape[1]), J
+        yield np.repeat(loss_and_slope(problem.loss_of(k), r)[1], r.shape[1]), J
 
 
 def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> Array:

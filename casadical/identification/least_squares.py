@@ -20,7 +20,7 @@ from casadical.core.basics import M_PER_MM, Array
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_solution
-from casadical.identification.residuals import MAX_CACHED_DATA_POSES, Block, Loss, loss_slope, loss_value, make_block
+from casadical.identification.residuals import MAX_CACHED_DATA_POSES, Block, Loss, loss_and_slope, make_block
 from casadical.identification.solver import (
     ACCEPTABLE_STATUS,
     OPTIMUM_MESSAGE,
@@ -418,7 +418,7 @@ class LeastSquares:
             flat = r.ravel()
             square += (own := float(flat @ flat))
             loss = self.loss_of(k)
-            cost += own if loss == "linear" else float(loss_value(loss, r).sum())
+            cost += own if loss == "linear" else float(loss_and_slope(loss, r)[0].sum())
             rows, y = self.through_loss(k, r, J)
             information += rows.T @ rows
             gradient += rows.T @ y
@@ -432,7 +432,7 @@ class LeastSquares:
         """
         if (loss := self.loss_of(k)) == "linear":
             return J, r.ravel()
-        root = np.sqrt(np.repeat(loss_slope(loss, r), r.shape[1]))
+        root = np.sqrt(np.repeat(loss_and_slope(loss, r)[1], r.shape[1]))
         return J * root[:, None], root * r.ravel()
 
     def _cost(self, v: Array) -> float:
@@ -440,7 +440,9 @@ class LeastSquares:
         x, u = self.separate(v)
         of_sets = ((k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u))
         residuals = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
-        return 0.5 * (sum(float(loss_value(self.loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
+        return 0.5 * (
+            sum(float(loss_and_slope(self.loss_of(k), r)[0].sum()) for k, r in residuals) + self.prior_square(v)
+        )
 
     def loss_of(self, k: int) -> Loss:
         """Return the loss of set k; linear for given distances, whose index is after the last."""

@@ -188,9 +188,6 @@ def carry_over(
     theirs = {p.name: p for p in other.parameters}
     taken = [p for p in model.parameters if p.group in labels or (whole and p.group not in FRAME_GROUPS)]
     taken = [p for p in taken if p.name in theirs]
-    for p in taken:
-        if not np.isfinite(value := theirs[p.name].value):
-            raise InputError(f"prior {other.name!r}: {p.name} is {value}; it must be a finite number")
     model = model.with_values({p.name: theirs[p.name].value for p in taken})
     if frozen:
         remaining = knowledge.without(set(knowledge.std_errors) - {p.name for p in taken})

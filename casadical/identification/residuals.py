@@ -19,8 +19,7 @@ from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.position import Position
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.robot.model import Expressions, expressions, is_rigid
-from casadical.robot.rigid_chain import rigid_chain
+from casadical.robot.model import Expressions, expressions, is_rigid, rigid_chain
 from casadical.robot.robot import Robot
 
 # Name of a loss: the cost of a pose as a function of the squared norm of its residuals.
@@ -41,16 +40,23 @@ MAX_CACHED_DATA_POSES = 100_000
 LOSS_KNEE_SQUARE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
-# Name of a loss -> function of squared residuals s and a knee, with the loss rho(s) and rho'(s) as
-# values (Triggs et al. 2000, without the second-order term).
-_LOSS_AND_SLOPE: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
-    "linear": lambda s, _: (s, np.ones_like(s)),
-    "huber": lambda s, knee: (
-        np.where(s <= knee, s, 2 * np.sqrt(np.maximum(s, knee) * knee) - knee),
-        knee / np.sqrt(np.maximum(s, knee) * knee),
-    ),
-    "soft_l1": lambda s, knee: (2 * knee * (np.sqrt(1 + s / knee) - 1), 1 / np.sqrt(1 + s / knee)),
-}
+def loss_and_slope(loss: Loss, r: Array) -> tuple[Array, Array]:
+    """Return the loss rho(s) of each pose and its slope rho'(s), shape (n,) each.
+
+    s is the squared norm of the pose's residuals. "huber" is s up to the knee of `LOSS_KNEE_SQUARE`
+    and beyond it grows as the norm; "soft_l1" is a smooth form of it, 2 k (sqrt(1 + s / k) - 1)
+    with the knee k (Triggs et al. 2000, without the second-order term).
+
+    r : residuals of n poses, shape (n, m), in units of sigma
+    """
+    s, knee = np.einsum("ij,ij->i", r, r), LOSS_KNEE_SQUARE[r.shape[1]]
+    if loss == "huber":
+        root = np.sqrt(np.maximum(s, knee) * knee)
+        return np.where(s <= knee, s, 2 * root - knee), knee / root
+    if loss == "soft_l1":
+        root = np.sqrt(1 + s / knee)
+        return 2 * knee * (root - 1), 1 / root
+    return s, np.ones_like(s)
 
 
 class PoseFunctions:
@@ -273,19 +279,3 @@ def make_block(
     whole = data(m, slice(None)) if len(m) <= max_cached else None
     of_some = (lambda at: whole[:, at]) if whole is not None else (lambda at: data(m[at], at))
     return Block(compiled, of_some, group, robot_numbers(robot, names))
-
-
-def loss_value(loss: Loss, r: Array) -> Array:
-    """Return rho(s) for the squared norm s of each pose's residuals, shape (n,).
-
-    r : residuals, shape (n, m), in units of sigma
-    """
-    return _LOSS_AND_SLOPE[loss](np.einsum("ij,ij->i", r, r), LOSS_KNEE_SQUARE[r.shape[1]])[0]
-
-
-def loss_slope(loss: Loss, r: Array) -> Array:
-    """Return the weight rho'(s) that the loss gives each pose, shape (n,), 0 to 1.
-
-    r : residuals, shape (n, m), in units of sigma; s : squared norm of a pose's residuals
-    """
-    return _LOSS_AND_SLOPE[loss](np.einsum("ij,ij->i", r, r), LOSS_KNEE_SQUARE[r.shape[1]])[1]

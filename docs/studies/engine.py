@@ -19,7 +19,7 @@ from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.blind_check.mujoco_physics.cause import reflector, settle
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
-from casadical.blind_check.mujoco_physics.robot import start
+from casadical.blind_check.mujoco_physics.mechanism import start
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))

@@ -20,9 +20,9 @@ from casadical.compensator import (
     save_compensator,
     train,
 )
+from casadical.compensator.iwo import IwoRun
 from casadical.compensator.network import Loss, Task, forward, random_weights, training_masks
 from casadical.compensator.saving import checksummed
-from casadical.compensator.trainers.iwo import IwoRun
 from casadical.compensator.trainers.levenberg_marquardt import advance, begin_batch
 from casadical.core.basics import InputError
 from problems import small_task, smooth

@@ -11,14 +11,13 @@ from casadical.core.basics import InputError
 from casadical.core.parts import Sessions, Target
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.cause_table import wires_at_fault
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.linear_problem import make_case, unsure_tables
 from casadical.diagnosis.localisation import localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.observations import Stops, _by_stop, stops_in
-from casadical.diagnosis.statements import assumptions, statements
+from casadical.diagnosis.statements import assumptions, statements, wires_at_fault
 from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import Backlash, ThermalGrowth, WireDrift
 from casadical.identification.accuracy import errors, predicted

@@ -13,7 +13,6 @@ from planted import planted
 from casadical.core.basics import silent
 from casadical.diagnosis import search
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.cause_table import layers
 from casadical.diagnosis.claims import cause_set, with_additional_cause
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.details import Details
@@ -25,7 +24,7 @@ from casadical.diagnosis.noise_forms import HEAVY_TAILS, noisy_joint_label
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.statements import statements
+from casadical.diagnosis.statements import layers, statements
 from casadical.diagnosis.text import as_json, diagnosis_files, page_of
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify

@@ -231,9 +231,7 @@ def test_a_type_has_one_name_in_all_outputs(good: pd.DataFrame) -> None:
     found = fleet_of(good.assign(type_name=[f"Planar arm SN {9 - k}" for k in range(len(good))]))
     ((_, text),) = found.prior_files("priors").items()
     assert 'name = "Planar arm SN"' in text
-    assert {found.commons[0].name, *found.robots["type_name"], found.drawings[found.commons[0].type].name} == {
-        "Planar arm SN"
-    }
+    assert {found.commons[0].name, *found.robots["type_name"]} == {"Planar arm SN"}
     assert name_of_type(["b", "a", "b"]) == "b"
     assert name_of_type(["UR10e-2", "UR10e-1"]) == "UR10e-1"
 
@@ -305,12 +303,12 @@ def test_departures_of_lengths_angles_and_curves_are_in_mm_and_mrad() -> None:
 
 def test_joints_that_yield_are_one_sentence_and_lengths_another() -> None:
     figures = np.array([[0.3, -0.2, 2.0, 1.5], [0.01] * 4, [0.1] * 4, [1e-3, 1e-3, 1e-6, 1e-6]])
-    common = Common("ab", "arm", 9, ("a1", "d4", "c1", "c2"), *figures, 1e-4 * np.eye(4))
+    common = Common("ab", "arm", 9, ("a1", "d4", "c1", "c2"), *figures, 1e-4 * np.eye(4), frozenset({"c2"}))
     good = pd.DataFrame({name: [] for name in EMPTY_ROW}).astype({"robot": str, "notes": str, "changes": str})
     words = [b.text for b in Fleet(good, (common,), ()).blocks() if isinstance(b, Words) and b.kind == "warning"]
     assert [text.split(": ", 1)[1] for text in words] == [
         "a1 is +0.3 mm +/- 0.01, d4 -0.2 mm +/- 0.01 from the drawing: correct the drawing, or the set-up of the "
         "instrument.",
-        "c1 is +2 urad/(N m) +/- 0.01, c2 +1.5 urad/(N m) +/- 0.01 from the drawing: their joints yield otherwise than "
-        "it says; correct the compliances in the robot file.",
+        "c1 is +2 urad/(N m) +/- 0.01, c2 +1.5 um/N +/- 0.01 from the drawing: their joints yield otherwise than it "
+        "says; correct the compliances in the robot file.",
     ]

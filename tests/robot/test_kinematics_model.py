@@ -18,7 +18,7 @@ from numeric_arm import (
     vector,
 )
 
-from casadical.robot.rigid_chain import rigid_chain
+from casadical.robot.model import rigid_chain
 
 ARMS = {
     "hh800": hh800,

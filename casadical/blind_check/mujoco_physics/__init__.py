@@ -11,9 +11,8 @@ campaigns is not checked against its own formulas. MuJoCo is loaded when an ``En
 from casadical.blind_check.mujoco_physics.campaigns import campaign, measure, positions
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop, mjcf
 from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden, draw_effect
-from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft
+from casadical.blind_check.mujoco_physics.mechanism import Body, Cord, Joint, Mechanism, Shaft, mechanism
 from casadical.blind_check.mujoco_physics.plant import FourBar, Plant, perturb
-from casadical.blind_check.mujoco_physics.robot import mechanism
 from casadical.blind_check.mujoco_physics.stops import Warmup
 
 __all__ = [

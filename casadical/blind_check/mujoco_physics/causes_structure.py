@@ -7,9 +7,16 @@ import numpy as np
 from casadical.blind_check.mujoco_physics import cause
 from casadical.blind_check.mujoco_physics.cause import Vector, acts, length_of, stretched_moments, triple
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
+from casadical.blind_check.mujoco_physics.mechanism import (
+    SPRING_TIME_CONSTANT_S,
+    Body,
+    Mechanism,
+    X,
+    Y,
+    spring,
+    springs,
+)
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide
-from casadical.blind_check.mujoco_physics.robot import SPRING_TIME_CONSTANT_S, spring, springs
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 

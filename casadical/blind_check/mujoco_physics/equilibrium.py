@@ -1,6 +1,6 @@
 """Equilibrium of a mechanism in MuJoCo, found by a simulation until it is at rest.
 
-The simulation is not in real time: the joints' inertia and damping (``robot.spring``) are chosen so
+The simulation is not in real time: the joints' inertia and damping (``mechanism.spring``) are chosen so
 that every joint comes to rest in a second or so, whatever its stiffness, and steps of 20 ms
 suffice. The equilibrium of weights, springs, loops, stops and dry friction depends on neither.
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics import causes_drive as drive
 from casadical.blind_check.mujoco_physics import causes_load as load
 from casadical.blind_check.mujoco_physics import causes_structure as structure
 from casadical.blind_check.mujoco_physics.cause import (
@@ -28,9 +27,9 @@ def _by_name(*kinds: Kind) -> dict[str, Kind]:
 
 # Effects on the list of those that the diagnosis knows, by name.
 LISTED: Mapping[str, Kind] = _by_name(
-    *(drive.gear_eccentricity, drive.transmission_ripple, drive.joint_scale),
-    *(drive.joint_coupling, drive.joint_zero_step, structure.thermal_growth),
-    *(drive.thermal_zero_drift, load.target_shift, structure.payload_error),
+    *(load.gear_eccentricity, load.transmission_ripple, load.joint_scale),
+    *(load.joint_coupling, load.joint_zero_step, structure.thermal_growth),
+    *(load.thermal_zero_drift, load.target_shift, structure.payload_error),
     *(structure.axis_wobble, load.gravity_compensator, load.nonlinear_stiffness),
     *(load.backlash, load.friction_windup, structure.link_flexure, structure.base_compliance),
     *(load.frame_drift, load.outliers),
@@ -40,8 +39,8 @@ LISTED: Mapping[str, Kind] = _by_name(
 UNLISTED: Mapping[str, Kind] = _by_name(
     *(structure.loose_flange, structure.tool_slip, structure.bearing_play, load.hose_pull),
     *(structure.cracked_link, structure.loose_anchor, structure.thermal_bend),
-    *(drive.encoder_pit, drive.damaged_tooth, structure.loose_cargo, load.tight_cable),
-    *(drive.lost_bits, load.rubber_coupling, load.range_offset),
+    *(load.encoder_pit, load.damaged_tooth, structure.loose_cargo, load.tight_cable),
+    *(load.lost_bits, load.rubber_coupling, load.range_offset),
 )
 
 

@@ -30,7 +30,7 @@ class Run(Protocol):
 
 @dataclass(frozen=True)
 class Trainer(ABC):
-    """Settings of one training method; each is a small frozen dataclass in a file of its own.
+    """Settings of one training method; each is a small frozen dataclass.
 
     name : short name, as in tables and saved files
     method : name in problem.toml and of `calibrate --method` for a network that this trainer trains

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array
 from casadical.core.transforms import Symbolic
 from casadical.effects import Effect, JointErrorCurve
 from casadical.effects.base import Context
@@ -46,16 +46,11 @@ def joint_curves(robot: Robot) -> ca.Function | None:
     q are the variables of the DH rows, dq true angles less q, 0 for a joint without coefficients.
     The function is called and not inlined, so that the C makes tables of it. None is returned for a
     robot without curves.
-
-    Raises InputError for a coefficient that is not finite.
     """
     curves = [e for e in robot.effects if isinstance(e, JointErrorCurve)]
     if not curves:
         return None
     values = {p.name: p.value for p in robot.parameters}
-    for name in (f"{e.label}.{short}" for e in curves for short in e.sizes()):
-        if not np.isfinite(values[name]):
-            raise InputError(f"{robot.name}: {name} = {values[name]}; a coefficient of a curve must be a finite number")
     q = ca.SX.sym("q", robot.n)
     context = Context(robot, np.zeros(robot.n), q, {}, values, (), None)
     moved = sum((e.joint_angle(context) for e in curves), ca.SX.zeros(robot.n))

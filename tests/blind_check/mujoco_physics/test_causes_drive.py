@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from casadical.blind_check.mujoco_physics import Hidden
-from casadical.blind_check.mujoco_physics.causes_drive import gear_eccentricity
+from casadical.blind_check.mujoco_physics.causes_load import gear_eccentricity
 
 from .machines import angle_about, built, shift, stops
 

@@ -8,7 +8,7 @@ from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.cause import reflector, settle
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
 from casadical.blind_check.mujoco_physics.hidden import cause
-from casadical.blind_check.mujoco_physics.robot import start
+from casadical.blind_check.mujoco_physics.mechanism import start
 
 from .machines import built, drawn, nominal, shift, stops
 

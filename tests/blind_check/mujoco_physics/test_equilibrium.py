@@ -6,7 +6,7 @@ import pytest
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import mechanism
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
-from casadical.blind_check.mujoco_physics.robot import start
+from casadical.blind_check.mujoco_physics.mechanism import start
 
 from .machines import ROBOTS, built, drawn, stops
 from .oracle import rest
