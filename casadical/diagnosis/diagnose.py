@@ -1,6 +1,6 @@
 """Diagnosis of the error that remains after calibration: verdict, causes and gap."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -20,7 +20,7 @@ from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_forms import likely_lag, noisy_joint
 from casadical.diagnosis.observations import Ratios
-from casadical.diagnosis.posterior import PRIOR_FIRST
+from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
 from casadical.diagnosis.settings import SETTINGS
@@ -239,7 +239,7 @@ class _Question:
         if self.laws:
             self.show("laws in place of the causes")
             found = _compared_with_laws(found)
-        found = self.with_level_varied(found)
+        found = _with_masses_and_order_varied(self.with_level_varied(found))
         return replace(found, prior=prior if prior.free or prior.frozen else None, changes=changed)
 
     def with_level_varied(self, found: Diagnosis) -> Diagnosis:
@@ -264,14 +264,68 @@ class _Question:
         other, said = other.with_inliers(case.inliers).with_form(case.form), []
         for cause in causes:
             ranking = State(other.with_variants(cause.label, [cause.effects])).rank(())
-            likely = [f"{k} {ranking.probability[k]:.2f}" for k in ranking.order[:2]]
             if ranking.order[0] != cause.label or ranking.probability[cause.label] < SETTINGS.min_claim:
                 said.append(
                     f"the instrument is level, and the axis of joint 1 leans by {lean:.2g} deg: {cause.label} hangs on "
-                    f"it; if the robot stands upright instead, it is {' or '.join(likely)}; level the instrument, or "
-                    'say frame = "base" in [gravity] of the robot file'
+                    f"it; if the robot stands upright instead, it is {_most_likely(ranking)}; level the "
+                    'instrument, or say frame = "base" in [gravity] of the robot file'
                 )
         return replace(found, case=replace(case, assumed=(*case.assumed, *said)))
+
+
+def _with_masses_and_order_varied(found: Diagnosis) -> Diagnosis:
+    """Return the diagnosis with a sentence for each certain cause that hangs on masses or order.
+
+    It hangs on the declared masses if it is improbable with their errors in the model, and on the
+    order of the rows if it follows a direction of approach that was not logged.
+    """
+    case, said = found.case, []
+    named = {c.label: c.effects for c in found.causes if c.effects}
+    every = case.candidates
+    masses = {c.label: c.variants[0] for c in every if isinstance(c.variants[0][0], LinkMasses)}
+    logged = set[str]().union(*(m.conditions for m in found.identification.measurements))
+    derived = {c for c in case.m.conditions if c.startswith("approach")} - logged
+    free = (replace(c, variants=tuple(v for v in c.variants if not _needs(v, derived))) for c in every)
+    undirected = replace(case, candidates=tuple(c for c in free if c.variants))
+    undirected = undirected._with_evidence(case.evidence)
+
+    for cause in (c for c in found.causes if c.effects and c.confidence >= SETTINGS.min_claim):
+        others = {label: effects for label, effects in named.items() if label != cause.label}
+        if masses and not masses.keys() & named.keys():
+            ranking = _given(case, others | masses)
+            if ranking.probability.get(cause.label, 1.0) < SETTINGS.min_doubtful:
+                width = case.given.body_width
+                said.append(
+                    f"the masses are as declared: {cause.label} hangs on them; if they are wrong by "
+                    f"{100 * width.share:.2g} % and {1e3 * width.centre:.2g} mm (one sigma), it is "
+                    f"{_most_likely(ranking)}; weigh the links, or measure with another payload"
+                )
+        if _needs(cause.effects, derived):
+            also = {label: effects for label, effects in others.items() if not _needs(effects, derived)}
+            ranking = _given(undirected, also)
+            said.append(
+                f"the rows are in the order of measuring: {cause.label} hangs on it; "
+                f"without it, it is {_most_likely(ranking)}; log approach{cause.joint}"
+            )
+    return replace(found, case=replace(case, assumed=(*case.assumed, *said)))
+
+
+def _given(case: Case, causes: Mapping[str, tuple[Effect, ...]]) -> Ranking:
+    """Return the ranking of a case's candidates given causes, by label."""
+    columns = np.unique(case.group([e for effects in causes.values() for e in effects]))
+    return rank(case, columns, frozenset(causes))
+
+
+def _needs(effects: Sequence[Effect], conditions: Collection[str]) -> bool:
+    """Return whether any of the effects has one of the conditions."""
+    return any(c in conditions for e in effects for c in e.conditions)
+
+
+def _most_likely(ranking: Ranking) -> str:
+    """Return the two most probable outcomes of a ranking, nothing among them, as text."""
+    every = {"nothing": ranking.none, **ranking.probability}
+    best = sorted(every, key=lambda k: -every[k])[:2]
+    return " or ".join(f"{k} ({every[k]:.2f})" for k in best)
 
 
 def _prepared(

@@ -14,6 +14,7 @@ from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.laws.discovery import describe_unlisted
 from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import BacklashByLoad
+from casadical.effects.plugins import effects_by_name
 from casadical.fleet.store import one_robot
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
@@ -217,3 +218,23 @@ def test_a_claim_that_hangs_on_the_level_of_the_instrument_says_so(lean_deg: flo
     assert d.causes[0].joint == 1
     assert (d.causes[0].confidence > 0.9) == said
     assert ('or say frame = "base"' in " ".join(page_of(d).split())) == said
+
+
+@pytest.mark.parametrize(
+    ("logged", "shuffled", "said"), [(True, False, False), (False, False, True), (False, True, False)]
+)
+def test_a_claim_that_hangs_on_the_order_of_the_rows_says_so(logged: bool, shuffled: bool, said: bool) -> None:
+    """Shuffled, the same rows do not show the cause: it did hang on their order."""
+    arm, m = robot("ur10e"), simulated("ur10e", 5, n=60, drop=("app", "pose", "time"))
+    columns = {f"approach{j}": derive(m, [f"approach{j}"])[0].conditions[f"approach{j}"] for j in range(1, 7)}
+    effect = effects_by_name()["friction_windup"](2)
+    true = arm.with_effect(effect).with_values({f"{effect.label}.{name}": 2e-4 for name in effect.sizes()})
+    there = replace(m, conditions={**m.conditions, **columns})
+    m = replace(there if logged else m, position=m.position + predicted(true, there)[0] - predicted(arm, there)[0])
+    order = np.random.default_rng(1).permutation(len(m)) if shuffled else np.arange(len(m))
+    m = replace(m[order], row=m.row)
+    d = diagnose(arm, m, ["friction_windup@2", "gear_eccentricity@2", "nonlinear_stiffness@2"])
+    assert ([c.label for c in d.causes if c.confidence > 0.9] == ["friction_windup@2"]) is not shuffled
+    words = [text for text in d.case.assumed if text.startswith("the rows are in the order of measuring: friction")]
+    assert bool(words) == said
+    assert all(text.endswith("log approach2") for text in words)

@@ -11,7 +11,8 @@ from planted import planted
 from casadical.core.basics import InputError
 from casadical.core.parts import Body, BodyWidth, Joint
 from casadical.diagnosis.candidates import candidates_of
-from casadical.effects import Context, LinkMasses
+from casadical.effects import Context, LinkMasses, NonlinearStiffness
+from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, write_robot
@@ -121,3 +122,23 @@ def test_the_greatest_torque_may_be_that_of_the_first_joint() -> None:
     arm = Robot("lying", (heavy, Joint(a=1.0, body=Body(1.0, np.array([0.2, 0.0, 0.0])))))
     context = Context(arm, arm.torque_scale, None, {}, {}, (), None)
     assert float(context.peak_moment) == arm.torque_scale[0] > arm.torque_scale[1]
+
+
+FEW = ["gear_eccentricity@2", "nonlinear_stiffness@2", "link_masses"]
+
+
+@pytest.mark.parametrize(("hidden", "said"), [("y2", True), ("nonlinear_stiffness@2", False)])
+def test_a_claim_that_hangs_on_the_masses_says_so(hidden: str, said: bool) -> None:
+    """A mass centre that is 45 mm off looks like an eccentric gear; no mass bends a spring like a cubic one."""
+    clean, arm = simulated("ur10e", 21, n=60), robot("ur10e")
+    effect = next(iter(LinkMasses.candidates(arm))) if said else NonlinearStiffness(2)
+    name = "y2" if said else next(iter(effect.sizes()))
+    true = arm.with_effect(effect).with_values({f"{effect.label}.{name}": 0.045 if said else 2e-4})
+    shift = predicted(true, clean)[0] - predicted(arm, clean)[0]
+    d = diagnose(arm, replace(clean, position=clean.position + shift), FEW)
+    (cause,) = d.causes
+    assert cause.label == ("gear_eccentricity@2" if said else hidden)
+    assert cause.confidence > 0.9
+    words = [text for text in d.case.assumed if "hangs on them" in text]
+    assert bool(words) == said
+    assert all("it is nothing (" in text for text in words)
