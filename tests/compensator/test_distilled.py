@@ -39,6 +39,30 @@ def test_the_process_finds_which_joints_matter() -> None:
     assert np.std(truth - process.mean(other / 2)) < 1.3 * 0.1  # the noise itself is 0.1
 
 
+def sign_steps(start: np.ndarray, x: np.ndarray, y: np.ndarray, steps: int) -> tuple[float, list[float]]:
+    """The least cost on the path of Rprop, a coordinate at a time (Riedmiller and Braun 1993), and where it is."""
+    at, step, before = [*start], [0.2] * len(start), [0.0] * len(start)
+    best = (np.inf, at)
+    for _ in range(steps):
+        cost, slope = cost_and_slope(np.array(at), x, y)
+        best = min(best, (cost, [*at]))
+        for k, s in enumerate(np.sign(slope)):
+            turned = s * before[k]
+            step[k] = min(1.2 * step[k], 0.5) if turned > 0 else 0.5 * step[k] if turned < 0 else step[k]
+            before[k] = 0.0 if turned < 0 else s
+            at[k] -= step[k] * before[k]
+    return best
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_process_is_the_likelier_end_of_sign_steps_from_two_starts(seed: int) -> None:
+    q, y = one_joint(30, seed)
+    rms = np.log(np.sqrt(np.mean(y**2)))
+    ends = [sign_steps(np.r_[np.full(6, np.log(s)), rms, rms - 1], q / 2, y, 12) for s in (1.0, 3.0)]
+    process = GaussianProcess.fit(q / 2, y, steps=12)
+    np.testing.assert_allclose(np.log([*process.lengths, process.size, process.noise]), min(ends)[1], atol=1e-9)
+
+
 @pytest.mark.slow
 def test_on_few_poses_the_taught_network_beats_the_ridge() -> None:
     held_out = one_joint(500, 99)

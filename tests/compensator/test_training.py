@@ -65,6 +65,14 @@ def test_losses_are_in_square_millimetres_whatever_the_scale():
     np.testing.assert_allclose(one.errors_mm(weights[0]), other.errors_mm(rescaled[0]), rtol=1e-10, atol=1e-14)
 
 
+@pytest.mark.parametrize(("precision", "kind"), [("double", np.float64), ("single", np.float32)])
+def test_a_colony_is_compared_in_the_precision_that_is_asked(precision, kind, monkeypatch):
+    run, compared = Iwo(IwoSettings(iterations=2), precision=precision).begin(small_task(), 0), []
+    monkeypatch.setattr(run.search, "tell", lambda losses: compared.append(losses.dtype))
+    run.step()
+    assert compared == [kind]
+
+
 def scipy_residuals(task, samples, ridge):
     free = ~task.layout.output_biases()
 

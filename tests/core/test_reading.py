@@ -49,6 +49,7 @@ READERS: list[Callable[[Path], object]] = [
         ("folder", "Is a directory"),
         ("zero", "is a device"),
         ("none", "no such file"),
+        ("away/none", "no such file; there is no folder .*away"),
         ("loop", "Too many levels"),
         ("a\0b", "cannot be read"),
     ],

@@ -164,6 +164,13 @@ def test_the_path_is_the_shortest_of_the_nearest_neighbour_tours(seed: int) -> N
     assert length(short_tour(D, before)) == pytest.approx(min(greedy))
 
 
+def test_of_equal_tours_the_first_is_taken_whatever_rounding_says() -> None:
+    turn = 2 * np.pi * np.arange(9) / 9
+    ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    D = np.linalg.norm(ring[:, None] - ring, axis=2) * (1 + 1e-9 * np.random.default_rng(0).normal(size=(9, 9)))
+    assert short_tour(D).tolist() == [*range(9)]
+
+
 def test_thirds_hold_a_third_each_and_rounding_moves_no_value_over_an_edge() -> None:
     """Of joints that stand at few angles, readings moved by 1e-12 made other parts."""
     rng = np.random.default_rng(0)

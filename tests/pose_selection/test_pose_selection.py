@@ -16,7 +16,15 @@ from casadical.identification.accuracy import errors
 from casadical.identification.figures import fit_quality
 from casadical.identification.prior import carry_over
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
-from casadical.pose_selection.candidates import Candidates, candidates_at, draw, expected, later_poses, one_turn
+from casadical.pose_selection.candidates import (
+    Candidates,
+    candidates_at,
+    draw,
+    expected,
+    later_poses,
+    one_turn,
+    timeline,
+)
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_search import Forecast, select_poses
 from casadical.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
@@ -151,6 +159,8 @@ def test_time_goes_with_the_order(robot) -> None:
     np.testing.assert_allclose(found.m.conditions["progress"], np.arange(30) / 29)
     assert (np.diff(found.m.conditions["warmth_600s"]) > 0).all()
     assert "progress" not in found.table
+    two_hours = timeline(["temperature_degC"], np.linspace(0, 1, 9), 240, Circumstances())["temperature_degC"]
+    np.testing.assert_allclose(two_hours, 20 + 5 * (1 - np.exp(-np.linspace(0, 120, 9) / 35)), atol=1e-3)
 
 
 def test_a_column_that_cannot_be_planned_is_named(robot) -> None:

@@ -87,6 +87,8 @@ def test_a_figure_is_drawn_as_its_data_say() -> None:
     assert [a.text for a in picture.layout.annotations] == ["here"]
     assert picture.layout.annotations[0].y == 0.0  # of a logarithmic axis, as plotly wants it
     assert len(picture.layout.shapes) == 2
+    legend = picture.layout.legend
+    assert (legend.yref, legend.yanchor, 0 <= legend.y <= 1) == ("container", "bottom", True)  # it is never cut off
 
 
 def test_rows_are_words_from_the_top_and_intervals_lie_along_them() -> None:
@@ -94,7 +96,9 @@ def test_rows_are_words_from_the_top_and_intervals_lie_along_them() -> None:
     from casadical.core.reporting.drawing import draw
 
     dots = Series("points", [1.0, 2.0], range(2), less=[0.5, 0.1], more=[0.2, 0.3])
-    picture = draw(Figure("n", "t", [dots], rows=("first", "a and\nb")))
+    bars = Series("bars", [1.0, 2.0], range(2))
+    picture = draw(Figure("n", "t", [dots, bars], rows=("first", "a and\nb")))
+    assert (picture.data[1].orientation, picture.data[1].marker.line.width) == ("h", 0)  # a rim would be length
     assert list(picture.layout.yaxis.ticktext) == ["first", "a and<br>b"]
     assert picture.layout.yaxis.range[0] > picture.layout.yaxis.range[1]
     assert (list(picture.data[0].error_x.arrayminus), list(picture.data[0].error_x.array)) == ([0.5, 0.1], [0.2, 0.3])
