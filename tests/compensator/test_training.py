@@ -20,6 +20,7 @@ from casadical.compensator import (
     save_compensator,
     train,
 )
+from casadical.compensator.compensator import train_all
 from casadical.compensator.iwo import IwoRun
 from casadical.compensator.network import Loss, Task, forward, random_weights, training_masks
 from casadical.compensator.saving import checksummed
@@ -71,6 +72,12 @@ def test_a_colony_is_compared_in_the_precision_that_is_asked(precision, kind, mo
     monkeypatch.setattr(run.search, "tell", lambda losses: compared.append(losses.dtype))
     run.step()
     assert compared == [kind]
+
+
+def test_a_training_without_a_seed_is_that_of_seed_0():
+    task, trainer = small_task(), Backprop(steps=3)
+    (given,), (default,) = train_all([task], trainer, seed=0), train_all([task], trainer)
+    assert (default.weights == given.weights).all()
 
 
 def scipy_residuals(task, samples, ridge):

@@ -45,6 +45,12 @@ def table(path, **columns):
     return path
 
 
+def test_blanks_behind_commas_are_no_part_of_names(tmp_path):
+    (tmp_path / "a.csv").write_text("joint, kp, friction\na, 3, 0.5\nb, 4, 0.25\n")
+    found = read_parameters(tmp_path / "a.csv", ARM)
+    assert (found["kp"].tolist(), found["friction"].tolist()) == ([3.0, 4.0], [0.5, 0.25])
+
+
 def test_true_parameters_are_not_contradicted_and_a_wrong_one_is(tmp_path):
     planted = {"kp": GAIN, "friction": DRY, "damping": DAMPED, "delay": np.full(2, LATE)}
     true = table(tmp_path / "true.csv", **planted)

@@ -111,6 +111,15 @@ def test_dry_friction_of_a_rigid_joint_winds_nothing_up() -> None:
     assert [o.label for o in found.left_out] == ["friction_windup@2"]
 
 
+def test_the_mean_load_of_a_simulators_joint_is_that_of_random_readings() -> None:
+    arm = robot("kr210")
+    q = np.random.default_rng(1).uniform(*arm.limits, (2000, arm.n))
+    expected = np.abs(arm.loads(q, {})).mean(axis=0)
+    np.testing.assert_allclose(
+        counterparts(arm.with_effect(MissingCompliance(3))).mean_load, expected, rtol=0.15, atol=1e-3
+    )
+
+
 def test_friction_finds_the_spring_that_another_effect_brings() -> None:
     soft, joint = robot("kr210"), 3
     stiff = replace(soft, joints=tuple(replace(j, compliance=None) for j in soft.joints))

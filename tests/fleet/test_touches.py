@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from casadical import InputError, Placement, Robot, identify, read_robot, write_
 from casadical.core.reporting.figure import Figure
 from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.touch_model import CHANGE_FREQUENCY
-from casadical.fleet.touches import changes_in_fleet, judge_touches, plan_touches
+from casadical.fleet.touches import Touches, changes_in_fleet, judge_touches, plan_touches
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import with_knowledge
@@ -190,6 +191,12 @@ def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypat
     assert "--touches 5 plans points" in " ".join(capfd.readouterr().err.split())
 
 
+def test_of_many_parameters_that_moved_the_eight_first_are_shown() -> None:
+    found = SimpleNamespace(moved=[(f"a{k}", 0.1, 0.01, "mm") for k in range(12)])
+    (shown,) = Touches.what_moved.fget(found)
+    assert [row[0] for row in shown.rows] == [f"a{k}" for k in range(8)]
+
+
 def test_bad_touches_are_refused_or_said(place, tmp_path):
     file, true, q = place
     first = day(tmp_path, 1, true, q)
@@ -202,8 +209,9 @@ def test_bad_touches_are_refused_or_said(place, tmp_path):
     with pytest.raises(InputError, match="2 or more"):
         judge_touches(file, [day(tmp_path, 4, true, q[:1])])
     elsewhere = replace(true, base=replace(true.base, T=frame(np.eye(3), np.array([0.0, 2.0, 0.0])) @ true.base.T))
-    with pytest.raises(InputError, match=re.escape("the instrument stands elsewhere, or it is another robot")):
-        judge_touches(file, [day(tmp_path, 5, elsewhere, q)])
+    said = r"2026-03-05\.csv: .*the instrument stands elsewhere, or it is another robot"
+    with pytest.raises(InputError, match=said):
+        judge_touches(file, [first, day(tmp_path, 5, elsewhere, q)])
     bare = tmp_path / "bare.robot.toml"
     write_robot(ARM, bare)
     with pytest.raises(InputError, match="does not say how far it may be off"):

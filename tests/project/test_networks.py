@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from casadical import calibrate
 from casadical.compensator import load_compensator
 from casadical.compensator.trainers.registry import network_methods
 from casadical.identification import residual_mm
+from casadical.project.calibration_page import training_history
 from casadical.project.networks import Material, train_networks, training_material
 
 ROOT = Path(__file__).parents[2]
@@ -158,3 +160,10 @@ def test_json_holds_refusals_settings_and_the_papers_figures(hh800) -> None:
         assert trained["mean_mm"] == pytest.approx(r.compensator.validation.after.mean_mm)
     assert found["networks"]["IWO-NN-SKCM"]["settings"]["settings"]["maximum"] == 50
     assert found["paper"]["validation"]["IWO-NN-SKCM"] == {"mean_mm": 0.4662, "max_mm": 0.6538, "std_mm": 0.1333}
+
+
+def test_a_training_of_no_step_is_drawn_at_its_beginning() -> None:
+    name, *_ = network_methods()
+    trained = SimpleNamespace(helps=True, compensator=SimpleNamespace(history=((0, 2.5),)))
+    (drawn,) = training_history(SimpleNamespace(results={name: trained})).series
+    assert ([*drawn.x], [*drawn.y]) == ([0.0], [2.5])

@@ -11,7 +11,7 @@ import pytest
 
 from casadical import InputError, from_table, identify, read_problem
 from casadical.project.diagnosis import read_logs
-from casadical.project.problem_file import LogsTable
+from casadical.project.problem_file import CameraErrorsTable, LogsTable
 from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[2]
@@ -136,3 +136,11 @@ def test_hh800_has_the_papers_identifiable_set() -> None:
     assert (groups != "compliance").sum() == 29
     assert (groups == "compliance").sum() == 4
     assert all(u.reason for u in result.identifiability.unidentifiable)
+
+
+@pytest.mark.parametrize(("name", "most"), [("focal", 0.2), ("tilt", 0.2), ("board", 0.2), ("distortion", 1.0)])
+def test_errors_of_a_camera_are_small(name: str, most: float) -> None:
+    for sign in (-1, 1):
+        assert getattr(CameraErrorsTable(**{name: sign * 0.99 * most}), name) == sign * 0.99 * most
+        with pytest.raises(ValueError, match=name):
+            CameraErrorsTable(**{name: sign * most})

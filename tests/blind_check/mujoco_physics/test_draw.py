@@ -117,3 +117,7 @@ def test_a_crack_and_a_beam_are_cut_where_they_say():
         place = beam.body(name).place
         assert place.shape == (4, 4)
         assert np.linalg.norm(place[:3, 3]) == pytest.approx(share * np.linalg.norm(link))
+
+
+def test_a_weight_is_the_length_of_gravity():
+    assert dataclasses.replace(nominal("kr210"), gravity=np.array([2.0, 3.0, -6.0])).weight == pytest.approx(7.0)

@@ -15,10 +15,10 @@ import pytest
 from command_line import run
 from marks import slow
 
-from casadical import InputError, Measurements, calibrate
+from casadical import InputError, Joint, Measurements, Robot, calibrate
 from casadical.identification.identification import identify
 from casadical.project.check.check import precheck
-from casadical.project.check.findings import far_rows
+from casadical.project.check.findings import far_rows, limits_findings
 from casadical.project.check.plausible import repeats
 from casadical.project.check.repair import repaired
 from casadical.project.check.result import Precheck
@@ -343,3 +343,11 @@ def test_two_sets_of_readings_side_by_side_are_compared_and_the_worse_is_never_t
     assert [f.level for f in precheck(made).findings if f.topic == "readings"] == ["note"]
     m = read_problem(made).table
     assert np.array_equal(m.q[:, 0], np.radians(table["q1_cmd_deg" if "meas" in lags else "q1_meas_deg"]))
+
+
+def test_limits_that_nobody_gave_are_told_of_both_kinds_of_joints() -> None:
+    full = Joint(lower=-2 * np.pi, upper=2 * np.pi)
+    rail = Joint(kind="prismatic", lower=-10.0, upper=10.0)
+    (finding,) = limits_findings(Robot("arm", (full, rail, replace(full, upper=3.0), rail)))
+    assert finding.text.startswith("joints 1, 2, 4: -360 .. 360 deg")
+    assert limits_findings(Robot("arm", (replace(rail, lower=0.0), replace(full, lower=-3.0)))) == []

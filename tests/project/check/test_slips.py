@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import arms
 import first_hour
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slip_list import LENGTHS_MIRROR_WARNING, MIRROR_WARNING
-from casadical.project.check.slips import outside
+from casadical.project.check.slips import outside, slip_fit
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 from casadical.project.targets import recognised
@@ -237,3 +238,10 @@ def test_readings_a_hundredth_beyond_the_limits_are_within() -> None:
     nothing = Hypothesis.none(robot.n)
     for q, wanted in ((upper + 0.005, False), (upper + 0.02, True), (lower - 0.005, False), (lower - 0.02, True)):
         assert outside(nothing, robot, np.tile(q, (20, 1))) is wanted
+
+
+def test_of_positions_that_fit_nothing_is_wrong_and_nothing_turned() -> None:
+    arm, nothing = arms.six_axis(), Hypothesis.none(6)
+    fit = slip_fit(arm, arms.positions(arm, arms.readings(arm, 30, 0), 1)).placed(nothing, as_given=True)
+    assert (nothing.slips, nothing.cost, fit.slips, fit.turn) == (0, 0.0, 0, 0.0)
+    assert fit.error == pytest.approx(arms.NOISE * 1.5, rel=0.3)  # median of three coordinates' noise
