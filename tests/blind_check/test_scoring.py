@@ -9,6 +9,7 @@ import pytest
 
 from casadical.blind_check.protocol import Answer, HiddenEffect, Secret, label, read_manifest
 from casadical.blind_check.scoring import Outcome, fraction, mean, metrics, outcome, score
+from casadical.blind_check.worker_pool import workers
 from casadical.cli import app
 from casadical.core.basics import InputError
 
@@ -151,3 +152,8 @@ def test_labels_leave_out_joints_that_mean_nothing() -> None:
     assert label("backlash", 3) == "backlash@3"
     assert label("gravity_compensator", 2) == "gravity_compensator"
     assert label("thermal_growth", None) == "thermal_growth"
+
+
+def test_an_error_among_workers_is_told_unchanged() -> None:
+    with pytest.raises(ZeroDivisionError), workers(None, 1):
+        raise ZeroDivisionError

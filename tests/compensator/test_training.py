@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
+from scipy.optimize._numdiff import approx_derivative
 
 from casadical.compensator import (
     Backprop,
@@ -111,6 +112,18 @@ def test_lm_reaches_an_optimum_that_scipy_cannot_improve():
         assert batch.cost[p] <= 2 * found.cost * (1 + 1e-8)
         slope = 2 * found.jac.T @ residuals(batch.weights[p])
         assert np.abs(slope).max() < 2e-5  # starts at about 0.1
+
+
+def test_the_first_step_of_lm_is_damped_by_a_thousandth_of_the_largest_curvature():
+    task = small_task()
+    weights = random_weights(task.layout, np.random.default_rng(3), 1)
+    samples, ridge = np.full((1, task.targets.shape[1]), 1 / task.targets.shape[1]), np.array([0.03])
+    residuals = scipy_residuals(task, samples[0], ridge[0])
+    J = approx_derivative(residuals, weights[0])
+    H = J.T @ J
+    expected = weights[0] - np.linalg.solve(H + 1e-3 * np.diag(H).max() * np.eye(len(H)), J.T @ residuals(weights[0]))
+    batch = advance(task, begin_batch(task, weights, samples, ridge), samples, ridge, tolerance=0.0)
+    np.testing.assert_allclose(batch.weights[0], expected, atol=1e-6)
 
 
 def test_lm_result_does_not_depend_on_its_company():

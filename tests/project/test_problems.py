@@ -11,7 +11,7 @@ import pytest
 
 from casadical import InputError, from_table, identify, read_problem
 from casadical.project.diagnosis import read_logs
-from casadical.project.problem_file import CameraErrorsTable, LogsTable
+from casadical.project.problem_file import CameraErrorsTable, DataTable, LogsTable
 from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[2]
@@ -144,3 +144,10 @@ def test_errors_of_a_camera_are_small(name: str, most: float) -> None:
         assert getattr(CameraErrorsTable(**{name: sign * 0.99 * most}), name) == sign * 0.99 * most
         with pytest.raises(ValueError, match=name):
             CameraErrorsTable(**{name: sign * most})
+
+
+def test_a_kind_of_measurement_that_is_not_there_is_refused_with_those_that_are() -> None:
+    for kind in ("positions", ""):
+        with pytest.raises(ValueError, match=r"must be .*'pose'"):
+            DataTable(file="a.csv", kind=kind)
+    assert DataTable(file="a.csv", kind=None).kind is None

@@ -244,4 +244,6 @@ def test_of_positions_that_fit_nothing_is_wrong_and_nothing_turned() -> None:
     arm, nothing = arms.six_axis(), Hypothesis.none(6)
     fit = slip_fit(arm, arms.positions(arm, arms.readings(arm, 30, 0), 1)).placed(nothing, as_given=True)
     assert (nothing.slips, nothing.cost, fit.slips, fit.turn) == (0, 0.0, 0, 0.0)
+    lengths = arms.distances(arm, arms.readings(arm, 40, 0), np.array([1.0, 0.5, 0.2]), 1)
+    assert slip_fit(arm, lengths).placed(nothing, as_given=True).turn == 0.0
     assert fit.error == pytest.approx(arms.NOISE * 1.5, rel=0.3)  # median of three coordinates' noise
