@@ -62,6 +62,19 @@ def test_a_link_is_no_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert private_folder("kernels") == tmp_path / "new" / "casadical" / "kernels"
 
 
+def test_without_a_variable_the_folder_is_the_users_and_with_one_it_may_be_relative(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CASADICAL_CACHE", "near")
+    assert private_folder("kernels") == Path("near", "casadical", "kernels")
+    monkeypatch.delenv("CASADICAL_CACHE")
+    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: str(tmp_path / "users" / name))
+    assert private_folder("kernels") == tmp_path / "users" / "casadical" / "kernels"
+    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: f"~/{name}")
+    assert private_folder() is None
+
+
 def test_the_folder_that_holds_the_cache_keeps_its_mode_and_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

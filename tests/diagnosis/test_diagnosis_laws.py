@@ -1,6 +1,7 @@
 """Laws found in simulated campaigns: the search against exact evidence, what is claimed, and the files of it."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -12,7 +13,7 @@ from cases import case, following_noise, plant, robot, simulated
 from planted import campaign, misread, planted
 from scipy.integrate import solve_ivp
 
-from casadical import Discovery, diagnose, discover
+from casadical import Body, Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.basics import Array, InputError
@@ -22,7 +23,7 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.laws import discovery
 from casadical.diagnosis.laws.answer import line_of
-from casadical.diagnosis.laws.candidates import descriptions, prior_weight
+from casadical.diagnosis.laws.candidates import descriptions, places_of, prior_weight
 from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.laws.forms import (
     FORMS,
@@ -454,3 +455,13 @@ def test_the_files_are_read_again(tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text(bad)
     with pytest.raises(InputError, match=r"bad.toml: effect\[1\].*unknown function 'open'"):
         read_effects(tmp_path / "bad.toml")
+
+
+@pytest.mark.parametrize("payload", [None, Body(3.0, np.zeros(3))])
+def test_a_law_is_tried_at_every_place_and_no_direction_is_preferred(payload: Body | None) -> None:
+    places = places_of(replace(robot("ur10e"), payload=payload))
+    seams = Counter(law.seam for law in places)
+    assert seams.pop("payload", 0) == (payload is not None)
+    assert seams == {"joint": 6, "tilt": 6, "shift": 5, "base tilt": 1, "base shift": 1, "tool shift": 1}
+    for sizes in ({size for _, size in law.factors} for law in places if len(law.factors) == 3):
+        assert len(sizes) == 1

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, from_table, read_measurements
+from casadical.measurements.arrangement import _target_names
 from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import Noise, same_readings
@@ -268,3 +269,16 @@ def test_tables_that_share_half_of_their_poses_are_refused(kind):
             refuse_shared_rows([part([0, 1, 2, 3]), part(other)])
     if kind == "contact":  # another point at the same readings is another pose
         refuse_shared_rows([part([0, 1]), Measurements(q[:2], kind, label=np.array(["b", "a"]))])
+
+
+def test_targets_are_named_by_the_words_that_their_headings_do_not_share() -> None:
+    assert _target_names([{"ball", "left"}, {"ball", "right"}]) == ["left", "right"]
+    assert _target_names([{"ball", "1"}, {"ball", "2"}]) == ["target1", "target2"]
+    assert _target_names([{"ball"}, {"ball", "b"}]) == ["target1", "b"]
+    assert _target_names([{"ball"}, {"ball"}]) == ["target1", "target2"]
+
+
+def test_a_condition_that_is_not_finite_is_refused_behind_names_too() -> None:
+    m = Measurements(np.zeros((3, 1)), "contact", label=np.array(["a", "a", "b"]))
+    with pytest.raises(InputError, match="row 1: payload_kg is nan; only finite numbers are allowed"):
+        replace(m, conditions={"payload_kg": np.array([1.0, np.nan, 2.0])})

@@ -13,7 +13,7 @@ from casadical.blind_check.mujoco_physics.hidden import cause
 from casadical.blind_check.mujoco_physics.stops import Warmup, draw_stops
 from casadical.core.basics import InputError
 
-from .machines import ROBOTS, built, nominal
+from .machines import ROBOTS, built, nominal, stops
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
 XYZ = ["x_mm", "y_mm", "z_mm"]
@@ -121,3 +121,8 @@ def test_a_crack_and_a_beam_are_cut_where_they_say():
 
 def test_a_weight_is_the_length_of_gravity():
     assert dataclasses.replace(nominal("kr210"), gravity=np.array([2.0, 3.0, -6.0])).weight == pytest.approx(7.0)
+
+
+def test_a_part_that_lags_follows_a_steady_surface_exponentially():
+    at = stops(np.zeros((20, 6)), 0.0, time_s=60.0 * np.cumsum(np.arange(1, 21)), warmth_K=4.0)
+    np.testing.assert_allclose(at.warmth_after(25.0), 4 * (1 - np.exp(-at.time_s / 60 / 25)))

@@ -6,8 +6,10 @@ import casadi as ca
 import export_models as models
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from casadical.core.basics import InputError
+from casadical.export.c.chord import ORIENTATION_LENGTH_M, residual
 from casadical.export.c.products import Command, mapped
 from casadical.export.c.reference import NumpyFunctions, run
 from casadical.export.c.tape import Node, Tape, tape_of
@@ -219,3 +221,11 @@ def test_the_forward_error_is_in_micrometres(command: Command) -> None:
     """Of single precision: a metre has an error of about a ten-millionth."""
     figures = accuracy(tape_program(command, "float"), 200)
     assert 0.01 < figures["forward_error_um"] < 10
+
+
+def test_the_residual_of_a_pose_is_the_way_and_the_turn_to_it() -> None:
+    p, turn, R = np.array([1e-6, -2e-6, 3e-6]), np.array([4e-6, 5e-6, -6e-6]), Rotation.random(random_state=0)
+    now = np.concatenate([np.zeros(3), R.as_matrix().ravel(order="F")])
+    target = np.concatenate([p, (Rotation.from_rotvec(turn) * R).as_matrix().ravel(order="F")])
+    found = ca.Function("r", [], [residual(ca.SX(target), ca.SX(now))])()["o0"].full().ravel()
+    np.testing.assert_allclose(found, [*p, *(ORIENTATION_LENGTH_M * turn)], rtol=0, atol=1e-10)

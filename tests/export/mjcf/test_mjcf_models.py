@@ -154,6 +154,21 @@ def test_play_lies_on_the_flank_to_which_gravity_pushes() -> None:
     np.testing.assert_array_equal(positions(mjcf(named).text, m), positions(mjcf(rough).text, m))
 
 
+def test_the_stiffness_of_a_coordinate_is_the_slope_of_its_force() -> None:
+    effect = CubicStiffness(2)
+    (name,) = [p.name for p in effect.parameters()]
+    robot = as_built(robot_of("kr210")).with_effect(effect).with_values({name: 6e-5})
+    model = EngineModel(re.sub(r'gravity="[^"]*"', 'gravity="0 0 0"', mjcf(robot).text))
+    (k,) = np.flatnonzero(model.m.jnt_stiffnesspoly[:, 1])
+    x, force = 2e-3, []
+    for at in (x - 1e-5, x + 1e-5):
+        model.d.qpos[k] = at
+        force.append(model._force()[k])
+    model.d.qpos[k] = x
+    assert 3 * model.m.jnt_stiffnesspoly[k, 1] * x**2 > 0.01 * model.m.jnt_stiffness[k]
+    assert model._slope(int(k)) == pytest.approx(-(force[1] - force[0]) / 2e-5, rel=1e-5)
+
+
 def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
     """Time steps, with soft constraints and stops, from the command's pose on."""
     effect = Backlash(5, 0.0, 0.002)
