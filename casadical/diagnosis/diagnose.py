@@ -281,7 +281,8 @@ def _with_masses_and_order_varied(found: Diagnosis) -> Diagnosis:
     """
     case, said = found.case, []
     named = {c.label: c.effects for c in found.causes if c.effects}
-    every = case.candidates
+    every = [c for c in case.candidates if not c.variants[0][0].parts]  # without those of many columns
+    listed = replace(case, candidates=tuple(c for c in every if c.listed))._with_evidence(case.evidence)
     masses = {c.label: c.variants[0] for c in every if isinstance(c.variants[0][0], LinkMasses)}
     logged = set[str]().union(*(m.conditions for m in found.identification.measurements))
     derived = {c for c in case.m.conditions if c.startswith("approach")} - logged
@@ -292,7 +293,7 @@ def _with_masses_and_order_varied(found: Diagnosis) -> Diagnosis:
     for cause in (c for c in found.causes if c.effects and c.confidence >= SETTINGS.min_claim):
         others = {label: effects for label, effects in named.items() if label != cause.label}
         if masses and not masses.keys() & named.keys():
-            ranking = _given(case, others | masses)
+            ranking = _given(listed, others | masses)
             if ranking.probability.get(cause.label, 1.0) < SETTINGS.min_doubtful:
                 width = case.given.body_width
                 said.append(

@@ -158,8 +158,9 @@ class Marginals:
         for width in np.unique(widths):
             which = np.flatnonzero(widths == width)
             if width > MAX_NARROW_GROUP_COLUMNS:
+                narrow = out[widths <= MAX_NARROW_GROUP_COLUMNS].max(axis=(0, 2, 3), initial=-np.inf)
                 for g in which:
-                    self._judge_wide_group(groups[int(g)], chosen, out[g])
+                    self._judge_wide_group(groups[int(g)], chosen, narrow, out[g])
                 continue
             columns = np.stack([groups[int(g)] for g in which])
             own = np.stack([gram[groups[int(g)].tobytes()] for g in which])
@@ -265,16 +266,20 @@ class Marginals:
             chosen.V[k].add(more, V)
             chosen.b[k].add(more, (residual_products - V @ chosen.at[k].z)[:, None])
 
-    def _judge_wide_group(self, group: Array, chosen: Chosen, out: Array) -> None:
+    def _judge_wide_group(self, group: Array, chosen: Chosen, narrow: Array, out: Array) -> None:
         """Write the log likelihood with a group of many columns into `out`.
 
-        Grid points are visited from the likeliest without the group to both sides, as long as they
-        are not negligible; the others are unchanged.
+        Grid points are visited from the likeliest of others to both sides, as long as they are not
+        negligible; the others are unchanged.
 
         group : indices of its columns; out : shape (points, sigmas, kappas)
+        narrow : largest log likelihood with a group of few columns, shape (points,)
         """
         near, grid = self.model.near, self.model.grid
-        best = int(np.argmax(chosen.log_base[list(near)].max(axis=1)))
+        base = chosen.log_base[list(near)].max(axis=1)
+        best = int(np.argmax(np.maximum(base, narrow[list(near)])))
+        # Ratios of the noise differ by less than a quarter of a nat a number.
+        hopeless = max(float(base.max()) - 50.0, float(narrow.max()) - max(50.0, 0.25 * self.sums.rows))
         top = -np.inf
         for step in (1, -1):
             i = best if step > 0 else best - 1
@@ -287,8 +292,7 @@ class Marginals:
                     out[k] -= loss_of_finer_noise(self.model, chosen.log_base[k])[:, None]
                 if out[k].max() < top - POINT_LOG_EVIDENCE_WINDOW:
                     break
-                # The search ends where the group is less likely than no group by 50 nats.
-                if out[k].max() < float(chosen.log_base.max()) - 50.0:
+                if out[k].max() < hopeless:
                     return
                 top = max(top, float(out[k].max()))
                 i += step
