@@ -1,6 +1,7 @@
 """What an effect is where a file says nothing: its settings; and how the springs of simulators are put together."""
 
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from casadical.effects import (
 from casadical.effects.base import RIGID_STIFFNESS, Counterparts, Drive
 from casadical.effects.plugins import effects_by_name
 from casadical.effects.registry import FrameSettling
-from casadical.effects.smooth import AnyOfOtherAngle
+from casadical.effects.smooth import AnyOfLoad, AnyOfOtherAngle
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
@@ -118,6 +119,15 @@ def test_the_mean_load_of_a_simulators_joint_is_that_of_random_readings() -> Non
     np.testing.assert_allclose(
         counterparts(arm.with_effect(MissingCompliance(3))).mean_load, expected, rtol=0.15, atol=1e-3
     )
+
+
+@pytest.mark.parametrize("load", [-0.7, 0.05, 1.0])
+def test_any_function_of_load_saturates_twice_and_is_even_twice(load: float) -> None:
+    effect = AnyOfLoad(3)
+    context = SimpleNamespace(load=lambda joint: {3: load}[joint], conditions={"approach3": -1.0})
+    found = {name: float(value) for name, _, value in effect.terms(context)}
+    own = {"s": np.tanh(8 * load), "t": np.tanh(2 * load), "e": np.hypot(load, 0.01), "q": load**2}
+    assert found == pytest.approx(own | {"a": -1.0} | {f"a{name}": -value for name, value in own.items()})
 
 
 def test_friction_finds_the_spring_that_another_effect_brings() -> None:

@@ -16,6 +16,7 @@ from casadical.identification.identification import prepare
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior
+from casadical.identification.reduction import explained
 from casadical.identification.solver import bounded_step
 from casadical.robot.robot import Knowledge
 
@@ -101,6 +102,13 @@ def test_a_bounded_step_meets_the_conditions_of_an_optimum(common: float) -> Non
         assert ((lower <= step) & (step <= upper)).all()
         assert (slope[step > lower] < 1e-9).all()
         assert (slope[step < upper] > -1e-9).all()
+
+
+def test_poses_without_outliers_are_all_explained() -> None:
+    arm = arms.six_axis()
+    result = identify(arm, arms.positions(arm, arms.readings(arm, 300, 1), 2), ["placement", "a2", "theta2"])
+    (found,) = explained(result.problem, (result.problem, result.solution, None))
+    assert found.tolist() == [*range(300)]
 
 
 def test_a_pose_that_was_not_fitted_is_an_outlier_by_its_turn_alone() -> None:

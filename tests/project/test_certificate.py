@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import ROOT, main
+from test_iso9283 import ROBOT, SHEET
 
-from casadical import InputError, calibrate, read_problem
+from casadical import InputError, calibrate, read_problem, read_robot
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.figure import Figure
 from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.acceptance.budget import Conditions, budget_of, repeats_of
 from casadical.project.acceptance.certificate import certificate
+from casadical.project.acceptance.iso9283 import evaluated_table
 from casadical.project.new import new_problem
 
 PLANAR = ROOT / "problems" / "planar"
@@ -84,6 +86,15 @@ def test_points_of_a_picture_lie_where_they_are_in_one_scale(results, tmp_path):
         told = np.column_stack([figure.series[0].x, figure.series[0].y])
         scale = np.ptp(at[:, 0]) / np.ptp(told[:, 0])
         np.testing.assert_allclose(at - at[0], scale * (told - told[0]), atol=0.05)  # points of PDF, with two digits
+
+
+def test_a_test_by_iso_9283_is_part_of_it(results, tmp_path):
+    (tmp_path / "sheet.csv").write_text(SHEET)
+    found = certificate(results, details(tmp_path), problem=PLANAR)
+    found = replace(found, iso9283=evaluated_table(tmp_path / "sheet.csv", read_robot(ROBOT)))
+    _, second = found.pages()
+    (section,) = [part for part in second.sections if part.title == "ISO 9283:1998"]
+    assert section.blocks[1].text.startswith("dAP = 0.200 mm, dRP = 0.100 mm. ")
 
 
 def test_the_same_in_german_with_everything_stated(results, tmp_path):

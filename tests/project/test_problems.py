@@ -11,6 +11,7 @@ import pytest
 
 from casadical import InputError, from_table, identify, read_problem
 from casadical.project.diagnosis import read_logs
+from casadical.project.problem import error_groups
 from casadical.project.problem_file import CameraErrorsTable, DataTable, LogsTable
 from casadical.robot.robot_file import read_robot
 
@@ -151,3 +152,9 @@ def test_a_kind_of_measurement_that_is_not_there_is_refused_with_those_that_are(
         with pytest.raises(ValueError, match=r"must be .*'pose'"):
             DataTable(file="a.csv", kind=kind)
     assert DataTable(file="a.csv", kind=None).kind is None
+
+
+def test_errors_are_told_of_tables_and_of_all_tables_of_one_kind() -> None:
+    names = ["report/pose/a", "report/pose/b", "report/distance/c"]
+    own = {name: [name] for name in names}
+    assert error_groups(names) == {"report/pose": names[:2], "report/distance": names[2:], **own}

@@ -126,3 +126,10 @@ def test_a_weight_is_the_length_of_gravity():
 def test_a_part_that_lags_follows_a_steady_surface_exponentially():
     at = stops(np.zeros((20, 6)), 0.0, time_s=60.0 * np.cumsum(np.arange(1, 21)), warmth_K=4.0)
     np.testing.assert_allclose(at.warmth_after(25.0), 4 * (1 - np.exp(-at.time_s / 60 / 25)))
+
+
+def test_a_joint_is_coupled_to_another_one_of_the_wrist():
+    machine, rng = nominal("ur10e"), np.random.default_rng(0)
+    drawn = [engine.draw_effect(machine, "joint_coupling", rng) for _ in range(40)]
+    assert {hidden.joint for hidden in drawn} == {4, 5, 6}
+    assert all(hidden.size["source"] in {4, 5, 6} - {hidden.joint} for hidden in drawn)

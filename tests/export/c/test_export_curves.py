@@ -10,7 +10,7 @@ from structured_text_in_c import Compiled
 from casadical.core.basics import InputError
 from casadical.export import load, write_c
 from casadical.export.c.c_source import inside
-from casadical.export.c.coefficients import MAX_TABLE_ERROR
+from casadical.export.c.coefficients import MAX_TABLE_ERROR, _table, spline_errors
 from casadical.export.c.products import CurveFunction
 from casadical.export.c.reference import network as reference
 from casadical.export.c.reference import run
@@ -148,3 +148,12 @@ def test_what_cannot_be_a_table_is_refused_with_the_reason():
         tape_of(ca.Function("f", [q], [one(q) + two(q)]))
     with pytest.raises(InputError, match="takes 3 vectors"):
         tape_of(ca.Function("f", [q], [ca.densify(ca.jacobian(one(q), q))]))
+
+
+@pytest.mark.parametrize("entries", [128, 256, 512])
+def test_a_table_has_the_least_number_of_points_that_is_accurate_enough(entries: int) -> None:
+    turn = 2 * np.pi * np.arange(8192) / 8192
+    size = 2 * MAX_TABLE_ERROR / spline_errors(entries // 2)[2]  # of the third harmonic
+    table, bound = _table(ca.Function("f", [ca.SX.sym("q")], [0]), 0, size * np.sin(3 * turn))
+    assert len(table) == entries + 3  # a spline over one turn needs three more
+    assert bound == pytest.approx(size * spline_errors(entries)[2])

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ from command_line import FEW
 from command_line import main as run
 from controller_arms import nominal_path, planted, poses, positions, rigid_motion
 
-from casadical import InputError
+from casadical import InputError, Joint, Robot
 from casadical.compensator import Compensator, save_compensator
 from casadical.export import Sources, command_of, load, model_corrector, write_c
 from casadical.export.c.kernel import compilers
-from casadical.export.controller.commands import prefix_of
+from casadical.export.controller.commands import _source_name, prefix_of
 from casadical.export.controller.correction import kernel_corrector
 from casadical.export.controller.programs.program import read_target_program
 from casadical.export.controller.programs.target import Given
@@ -222,3 +223,8 @@ def test_the_c_of_full_poses_says_what_remains_of_both(files, tmp_path):
     q = poses(read_robot(files / "ur10.toml"), 5)
     assert np.array_equal(corrector.correct(q)[0], model_corrector(command).correct(q)[0])
     assert np.allclose(corrector.position(q), model_corrector(command).position(q), atol=1e-9)
+
+
+def test_a_source_is_named_by_its_file_its_robot_or_its_kind() -> None:
+    sources = (Path("a", "robot.toml"), Robot("arm", (Joint(),)), object.__new__(Compensator))
+    assert [_source_name(one) for one in sources] == [str(Path("a", "robot.toml")), "arm", "the compensator"]
