@@ -136,6 +136,20 @@ def test_a_wide_group_is_the_normal_density(ratios: dict[str, np.ndarray]) -> No
         assert_densities(model, Marginals(model).log_grids([group], chosen), [group], chosen)
 
 
+def test_a_wide_group_far_behind_a_narrow_one_is_judged_at_fewer_points_and_no_sum_changes() -> None:
+    model, rng, last = small_model(n=60), np.random.default_rng(3), MAX_NARROW_GROUP_COLUMNS + 2
+    E = 0.02 * rng.normal(size=(60, 3, last))
+    model = replace(model, r=model.r + 200 * E[:, :, 0], E=array_columns(E), cause_prior=np.full(last, 8.0))
+    groups = [np.array([0]), np.arange(1, last)]
+    both = Marginals(model).log_grids(groups)
+    alone = np.stack([Marginals(model).log_grids([group])[0] for group in groups])
+    there = np.isfinite(both)
+    np.testing.assert_allclose(both[there], alone[there], rtol=1e-9)
+    assert there[1].any(axis=(1, 2)).sum() < np.isfinite(alone[1]).any(axis=(1, 2)).sum()
+    every = [np.logaddexp.reduce(grids.ravel()) for grids in (both, alone)]
+    assert every[0] == pytest.approx(every[1], rel=1e-12)
+
+
 @pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
 def test_sums_in_parts_are_those_of_all_blocks(ratios: dict[str, np.ndarray]) -> None:
     model, chosen = small_model(ratios, n=40), np.array([3, 4])
