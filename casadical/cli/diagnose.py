@@ -216,7 +216,7 @@ def _diagnose_logs(
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show, against)
     # How large the gap is and what makes it comes before what a usual arm would have.
-    for result, n_lines in ((replay, 20), (answer, 18 if not replay else 1 if answer.named else 3)):
+    for result, n_lines in ((replay, 20), (answer, 22 if not replay else 1 if answer.named else 3)):
         if result:
             blocks = result.blocks()
             tell(console, *(blocks if details else shortened(blocks, n_lines)))

@@ -1,11 +1,13 @@
 """Open-loop replay of the real SO-101's thirteen motions, each quarter of them withheld in turn; mrad rms a joint.
 
-The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model. Then what the diagnosis
-says of each motion on its own: the arm is healthy as far as its makers know, and nobody knows the true causes.
+The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model, and without one effect
+at a time; the same of the torques of a UR10 and a Panda, whose bags (ur10_exciting, panda_exciting: repository
+unisa-acg/inverse-dynamics-solver) are in BAGS. Then what the diagnosis says of each motion on its own: the arm is
+healthy as far as its makers know, and nobody knows the true causes.
 
 Made by
 
-    python docs/studies/joint_replay.py > docs/studies/joint_replay.txt
+    python docs/studies/joint_replay.py BAGS > docs/studies/joint_replay.txt
     python docs/studies/joint_replay.py docs/images/so101.png
 
 the second of which draws the motions of report.
@@ -20,8 +22,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from casadical import read_robot
+from casadical.core.reporting.result import plain_text
+from casadical.diagnosis.motion.friction_laws import friction_laws
 from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import diagnose_log
+from casadical.diagnosis.motion.signals import arm_of
 from casadical.export.mjcf.moving import driven, moving_mjcf
 from casadical.measurements.logs.reading import read_log
 from casadical.project.diagnosis import read_logs
@@ -50,7 +55,7 @@ def main() -> None:
     logs = [read_log(path, robot) for path in sorted((ROOT / "data" / "so101_logs").glob("*.csv.gz"))]
     campaign = read_logs(folder)
     assert campaign is not None
-    if sys.argv[1:]:
+    if sys.argv[1].endswith(".png"):
         drawn = campaign.replayed()
         assert drawn is not None
         picture(drawn, sys.argv[1])
@@ -69,6 +74,15 @@ def main() -> None:
     text = moving_mjcf(found.response.robot()).text
     left = np.concatenate([run.position - driven(text, run) for run in found.runs])
     print(f"{'by the exported MJCF in MuJoCo':32}", *(f"{1e3 * v:6.2f}" for v in np.sqrt((left**2).mean(axis=0))))
+    print("real data, SO-101, the motions of report;", found.effects.sentence)
+    print(plain_text([found.effects.table()], 100))
+    for name, problem in (("ur10_exciting", "ur10"), ("panda_exciting", "panda_1")):
+        (bag,) = Path(sys.argv[1], name).glob("*.db3")
+        arm = read_robot(ROOT / "problems" / problem / "robot.toml")
+        laws = friction_laws(read_log(bag, arm), arm_of(arm))
+        assert laws is not None
+        print(f"real data, {name}, robot file of problems/{problem}; {laws.effects.sentence}\n{laws.explained}")
+        print(plain_text(laws.tables()[:2], 100))
     print("real data, SO-101, commands and readings alone: verdict of each motion, and what fits best (a hint)")
     for log in logs:
         answer = diagnose_log(robot, log)

@@ -177,6 +177,15 @@ def test_what_each_model_leaves_of_the_torque_is_told_of_thirds_that_were_not_fi
     np.testing.assert_array_less(0.5 * noise, left["and friction"])
     assert re.search(r"friction (9\d|100) %", " ".join(plain_text(found.blocks(), 200).split()))
     assert found.to_json()["torque_by_model"]["and friction"] == left["and friction"].tolist()
+    effects = found.torques.effects
+    costs = {name: np.sqrt(cost) for name, cost in effects.costs().items()}
+    np.testing.assert_allclose(costs["dry friction"], friction, rtol=0.3)
+    motion = found.view.motion
+    gravity = Dynamics(ROBOT).torque(motion.q, 0 * motion.q, 0 * motion.q)
+    np.testing.assert_allclose(costs["gravity"][1:], np.sqrt((gravity**2).mean(axis=0))[1:], rtol=0.15)
+    assert costs["gravity"][0] < 0.05 * costs["dry friction"][0]  # its axis is vertical
+    np.testing.assert_allclose(effects.sum_of_parts, effects.before, rtol=0.3)
+    assert found.to_json()["torque_effects"]["gravity"] == effects.without["gravity"].tolist()
 
 
 def test_what_fits_is_true_of_runs_that_were_not_fitted_and_shrinks_their_gap():

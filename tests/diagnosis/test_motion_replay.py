@@ -81,6 +81,12 @@ def test_the_effect_table_shows_what_each_effect_costs(arm, monkeypatch):
     words = plain_text(rough.blocks(), 400)
     said = re.search(rf"Dry friction holds {rough.runs[0].joints[band]} up to ([\d.]+) mrad", words)
     assert float(said[1]) == pytest.approx(1e3 * DRY[band] / GAIN[band], rel=0.1)
+    half = re.search(rf"{said[0]}[^;]*; twice the gain kp leaves ([\d.]+) mrad", words)
+    assert float(half[1]) == pytest.approx(float(said[1]) / 2, rel=0.06)  # two digits
+    droop = re.search(r"Gravity moves (.+?) up to ([\d.]+) mrad", words)
+    j, none = rough.runs[0].joints.index(droop[1]), np.zeros((1, 2))
+    steep = [np.abs(Dynamics(arm).torque(q[None], none, none)[0, j]) for run in rough.runs for q in run.command]
+    assert float(droop[2]) == pytest.approx(1e3 * max(steep) / GAIN[j], rel=0.1)
     monkeypatch.setattr(f"{__name__}.DRY", np.array([1e-4, 1e-4]))
     slippery = replayed(arm, [moved(arm, seed, 12.0) for seed in (1, 2)])
     with_it, none = (np.sqrt(each.costs()["dry friction"]) for each in (found, slippery.effects))

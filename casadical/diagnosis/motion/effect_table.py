@@ -34,20 +34,25 @@ NEGLIGIBLE_RISE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class EffectTable:
-    """Rms replay errors of each joint with all effects, and without one of them at a time.
+    """Rms errors of each joint with all effects, and without one of them at a time.
 
-    joints : names of the joints; before : rms of reading minus command, shape (joints,) [rad]
-    full : rms of reading minus replay with all effects, shape (joints,) [rad]
+    joints : names of the joints; before : rms of what the effects explain, reading minus command
+        [rad] or the logged torque [N m], shape (joints,)
+    full : rms error with all effects, shape (joints,)
     without : the same without one effect, by its name
+    title : what is predicted; unit : unit in the table; factor : from the errors' unit to it
     """
 
     joints: tuple[str, ...]
     before: Array
     full: Array
     without: Mapping[str, Array]
+    title: str = "Replays"
+    unit: str = "mrad"
+    factor: float = 1e3
 
     def costs(self) -> Mapping[str, Array]:
-        """Return, by effect, the increase of mean square error without it, (joints,) [rad^2].
+        """Return, by effect, the increase of mean square error without it, shape (joints,).
 
         Decreases count as zero.
         """
@@ -55,7 +60,7 @@ class EffectTable:
 
     @property
     def sum_of_parts(self) -> Array:
-        """Return the rms errors if the costs of all effects added up, shape (joints,) [rad]."""
+        """Return the rms errors if the costs of all effects added up, shape (joints,)."""
         return np.asarray(np.sqrt(self.full**2 + sum(self.costs().values())))
 
     @property
@@ -77,22 +82,24 @@ class EffectTable:
             said.append(f"{name} ({', '.join(self.joints[j] for j in sorted(most.tolist()))})")
             share += float(costs[name].sum()) / total
         free = [name for name, cost in costs.items() if cost.sum() < NEGLIGIBLE_RISE * (self.full**2).sum()]
-        return f"{', '.join(said)} make {100 * share:.0f} % of what the effects explain" + (
+        verb = "make" if len(said) > 1 else "makes"
+        return f"{', '.join(said)} {verb} {100 * share:.0f} % of what the effects explain" + (
             f"; {', '.join(free)}: nothing." if free else "."
         )
 
     def table(self) -> Table:
-        """Return the rms errors [mrad] by joint (column): with no effect, without each one, with all."""
+        """Return the rms errors by joint (column): with no effect, without each one, with all."""
         rows = {
             "everything": self.before,
-            **{name.split()[-1]: rms for name, rms in self.without.items()},
+            **{name.removeprefix("dry "): rms for name, rms in self.without.items()},
             "(in sum)": self.sum_of_parts,
             "nothing": self.full,
         }
+        less = " (damping: 9/10)" if "damping" in self.without else ""
         return Table(
-            "Replays without one effect at a time, of damping without nine tenths, rms [mrad]",
+            f"{self.title} without one effect{less}, rms [{self.unit}]",
             ("without", *(name.replace("_", " ") for name in self.joints)),  # wrapped at spaces
-            [(name, *(f"{1e3 * v:.3g}" for v in rms)) for name, rms in rows.items()],
+            [(name, *(f"{self.factor * v:.3g}" for v in rms)) for name, rms in rows.items()],
             frozenset(range(1, 1 + len(self.joints))),
         )
 

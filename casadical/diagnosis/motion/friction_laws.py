@@ -17,6 +17,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Table
 from casadical.core.statistics import first_of_best
+from casadical.diagnosis.motion.effect_table import EffectTable
 from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, INDEPENDENT_SAMPLE_FRACTION, Floor
 from casadical.diagnosis.motion.signals import REGRESSOR_BLOCK_SAMPLES, SMOOTHING_WIDTH_S, Arm, motion_of, smoothed
 from casadical.measurements.logs.log import JointLog
@@ -32,8 +33,9 @@ MAX_ROWS = 20_000  # of longer logs every k-th row is used
 MIN_MISFIT_DECREASE = 0.02
 NAMED_PROBABILITY = 0.95  # laws that together have this probability are reported
 # Columns of each joint: constant, rotor; dry, viscous and curved (v |v|) friction; and dry friction
-# times the mean of motor torque and load, times the motor torque, and times the load.
-JOINT_COLUMNS = ("constant", "rotor", "dry", "viscous", "curved", "mean", "motor", "load")
+# times the mean of motor torque and load, times the motor torque, and times the load. The last two,
+# gravity and inertia of the fitted bodies, are no terms of a law, but of the effect table.
+JOINT_COLUMNS = ("constant", "rotor", "dry", "viscous", "curved", "mean", "motor", "load", "gravity", "inertia")
 # Columns of each joint and Stribeck curve, which vanish above its speed. Squared is the smaller of
 # load and motor torque.
 SLOW_COLUMNS = ("slow", "slow_mean", "slow_motor", "slow_load", "slow_load_squared", "slow_motor_squared")
@@ -42,6 +44,15 @@ MODELS: Mapping[str, str] = {
     "fitted bodies": "constant rotor",
     "and friction": "constant rotor dry viscous curved",
     "and friction that grows with load": "constant rotor dry viscous curved mean",
+}
+# Columns of each effect of the effect table.
+EFFECTS: Mapping[str, str] = {
+    "dry friction": "dry",
+    "viscous friction": "viscous curved",
+    "load friction": "mean",
+    "gravity": "gravity",
+    "inertia": "inertia rotor",
+    "constant torque": "constant",
 }
 # Columns of each law.
 LAWS: Mapping[str, str] = {
@@ -64,6 +75,7 @@ class FrictionLaws:
     models : errors by model, from the file's bodies to those with friction, (joints,) each [N m]
     laws : errors by law, shape (joints,) each [N m]; probability : by law, given that one is true
     misfit : by law, sum of squared errors of held-out rows, divided by the variances of noise
+    effects : the errors of held-out rows, of the model with all effects and without one at a time
     """
 
     joints: tuple[str, ...]
@@ -71,12 +83,14 @@ class FrictionLaws:
     laws: Mapping[str, Array]
     probability: Mapping[str, float]
     misfit: Mapping[str, float]
+    effects: EffectTable
 
     @property
     def plain(self) -> dict[str, dict[str, Any]]:
-        """Return errors by model ("models"), and error and probability by law ("laws"), for JSON."""
+        """Return errors by model and without each effect, and error and probability by law, for JSON."""
         laws = {law: {"probability": self.probability[law], "rms_Nm": rms.tolist()} for law, rms in self.laws.items()}
-        return {"models": {name: rms.tolist() for name, rms in self.models.items()}, "laws": laws}
+        errors = {"models": self.models, "effects": self.effects.without}
+        return {"laws": laws, **{key: {k: rms.tolist() for k, rms in each.items()} for key, each in errors.items()}}
 
     @property
     def likely(self) -> list[str]:
@@ -121,6 +135,7 @@ class FrictionLaws:
         laws = [(law, f"{self.probability[law]:.2f}", *(f"{v:.3g}" for v in rms)) for law, rms in self.laws.items()]
         n, names = len(self.joints), [name.replace("_", " ") for name in self.joints]  # wrapped at spaces
         return [
+            self.effects.table(),
             Table(f"Torque that each model leaves, {errors}", ("model", *names), models, frozenset(range(1, 1 + n))),
             Table(f"Friction laws, {errors}", ("law", "prob.", *names), laws, frozenset(range(1, 2 + n))),
         ]
@@ -152,15 +167,17 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     third = np.concatenate([(WITHHELD_THIRDS * np.arange(len(at))) // len(at) for at in starts.values()])
     own, scale = len(JOINT_COLUMNS) + len(SLOW_COLUMNS) * len(STRIBECK_CURVES), SIGMA_FRICTION * peak
     rows = slice(None, None, 1 + len(m.q) // MAX_ROWS)
-    every = (m.v, m.a / (np.abs(m.a).max(axis=0) + 1e-9), slip, moves, third, torque - arm.rotor * m.a)
-    v, a, slip, moves, third, torque = (values[rows] for values in every)
-    Y = arm.regressor(m.q[rows], v, m.a[rows])
+    every = (m.v, m.a / (np.abs(m.a).max(axis=0) + 1e-9), slip, moves, third, torque, torque - arm.rotor * m.a)
+    v, a, slip, moves, third, logged, torque = (values[rows] for values in every)
+    Y, rest = arm.regressor(m.q[rows], v, m.a[rows]), np.zeros_like(v)
+    static = arm.regressor(m.q[rows], rest, rest)
 
-    def sums_of(friction: Array) -> tuple[Array, Array]:
+    def sums_of(friction: Array, masses: Array) -> tuple[Array, Array]:
         """Return sums of products of all columns in each third, (thirds, joints, n, n), and counts.
 
         friction : coefficients by which friction adds to the motor torque, of dry, viscous and
             curved friction and of that which grows with load, (joints, 4)
+        masses : fitted parameters of the bodies [SI]
         """
         sums, counts = np.zeros(0), np.zeros((WITHHELD_THIRDS, n))
         for k in range(0, len(v), REGRESSOR_BLOCK_SAMPLES):
@@ -171,7 +188,9 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
             terms = zip(friction.T, [*plain[2:], dry * load / peak], strict=False)
             made = bodies + scale * sum((x * column for x, column in terms), np.zeros_like(dry))
             motor, load = np.abs(made) / peak, load / peak
-            columns = [*plain, dry * (motor + load) / 2, dry * motor, dry * load]
+            gravity = static[s] @ masses
+            moved = Y[s] @ masses - gravity + arm.rotor * m.a[rows][s]
+            columns = [*plain, dry * (motor + load) / 2, dry * motor, dry * load, gravity / scale, moved / scale]
             for share, exponent in STRIBECK_CURVES:
                 slow = dry * np.exp(-(np.abs(speed / share) ** exponent))
                 squares = slow * load**2 * (motor > load), slow * motor**2 * (motor <= load)
@@ -187,15 +206,20 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
                 counts[part] += moves[s][third[s] == part].sum(axis=0)
         return sums, counts
 
-    sums, counts = sums_of(np.zeros((n, 0)))
+    sums, counts = sums_of(np.zeros((n, 0)), arm.inertial)
     total = np.maximum(counts.sum(axis=0), 1)
     alone = np.sqrt(sums[:, :, -1, -1].sum(axis=0) / total)
 
-    def held_out(columns: Sequence[int], sigma: Array) -> Array:
-        """Return the rms errors of held-out thirds with some columns, shape (joints,) [N m]."""
+    def held_out(columns: Sequence[int], sigma: Array, without: Sequence[int] = ()) -> Array:
+        """Return the rms errors of held-out thirds with some columns, shape (joints,) [N m].
+
+        without : columns whose torques are left out of the prediction, though they were fitted
+        """
         square = np.zeros(n)
         for part in range(WITHHELD_THIRDS):
             x, _ = _solved(sums.sum(axis=0) - sums[part], own, columns, sigma)
+            for k in without:
+                x[:, k - 1 - own] = -(k >= JOINT_COLUMNS.index("gravity"))
             square += np.einsum("ja,jab,jb->j", x, sums[part], x)
         return np.asarray(np.sqrt(np.maximum(square, 0) / total))
 
@@ -210,7 +234,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     for _ in range(2):
         (columns,) = at(LAWS["M3 load"])
         x, _ = _solved(sums.sum(axis=0), own, columns, sigma)
-        sums, _ = sums_of(x[:, -1 - own :][:, columns[2:]])
+        sums, _ = sums_of(x[:, -1 - own :][:, columns[2:]], arm.inertial + arm.spread @ x[0, : -1 - own])
         sigma = np.min([held_out(columns, sigma) for columns in at(LAWS["M6 quadratic"])], axis=0) + 1e-9 * peak
     models = {"the file's bodies": alone}
     for name, text in MODELS.items():
@@ -223,7 +247,10 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     total_evidence = float(np.logaddexp.reduce(list(evidence.values())))
     probability = {law: float(np.exp(e - total_evidence)) for law, e in evidence.items()}
     misfit = {law: float((counts.sum(axis=0) * (rms / sigma) ** 2).sum()) for law, rms in laws.items()}
-    return FrictionLaws(log.joints[:n], models, laws, probability, misfit)
+    costs = {name: held_out(columns, sigma, at(text)[0]) for name, text in EFFECTS.items()}
+    full, before = held_out(columns, sigma), np.sqrt(((logged * moves) ** 2).sum(axis=0) / total)
+    effects = EffectTable(log.joints[:n], before, full, costs, "Torque of held-out thirds", "N m", 1.0)
+    return FrictionLaws(log.joints[:n], models, laws, probability, misfit, effects)
 
 
 def _solved(sums: Array, own: int, columns: Sequence[int], sigma: Array) -> tuple[Array, float]:

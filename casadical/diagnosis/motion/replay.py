@@ -170,11 +170,8 @@ class Replay(Result):
         """Return the report of the replay as blocks: verdict, tables, unmoved joints, figures."""
         joints = self.runs[0].joints
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
-        # Joints that friction holds farthest from their commands, by F / kp [rad]: those with at
-        # least half of the largest value, at most three, if that exceeds the joint's residual.
-        band = np.where(self.response.moved, self.response.friction / self.response.gain, 0.0)
-        widest = first_of_best(band)
-        far = np.argsort(-band, kind="stable")[:3] if band[widest] > self.after[widest] else ()
+        commands = np.concatenate([run.command for run in self.runs if run.command is not None])
+        load = np.abs(self.response.dynamics.torque(commands, *[np.zeros_like(commands)] * 2)).max(axis=0)
         return self._report_blocks(
             before=before,
             after=after,
@@ -184,10 +181,22 @@ class Replay(Result):
             friction=self.friction_laws,
             against=[(a, 1e3 * float(np.sqrt((a.rms**2).mean()))) for a in self.against],
             still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
-            dead_band=[(joints[j], 1e3 * float(band[j])) for j in far if band[j] >= band[widest] / 2],
+            dead_band=self._held(self.response.friction),
+            droop=self._held(load),
             worse=[name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b],
             figures=[*replay_figures(self)],
         )
+
+    def _held(self, torque: Array) -> list[tuple[str, float]]:
+        """Return the joints that a torque keeps farthest from their commands, with its angle [mrad].
+
+        They are those with at least half of the largest angle, which is the first, at most three,
+        if that exceeds the joint's residual.
+        torque : of each joint [N m]
+        """
+        angle = np.where(self.response.moved, torque / self.response.gain, 0.0)
+        far = np.argsort(-angle, kind="stable")[:3] if (angle > self.after)[first_of_best(angle)] else ()
+        return [(self.runs[0].joints[j], 1e3 * float(angle[j])) for j in far if angle[j] >= angle.max() / 2]
 
     def _tables(self) -> Iterator[Table]:
         """Yield the report's tables, those of torque, friction laws and files where they exist.

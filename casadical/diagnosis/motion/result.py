@@ -64,6 +64,7 @@ class LogDiagnosis(Result):
         ),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
+        Key("torque_effects", lambda d: d.torques.plain["effects"] if d.torques else {}),
         Key("torque_by_model", lambda d: d.torques.plain["models"] if d.torques else {}),
         Key("friction_law", lambda d: d.torques.plain["laws"] if d.torques else {}),
         Key("ranking"),
