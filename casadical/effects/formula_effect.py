@@ -89,6 +89,7 @@ MOTION_NAMES = frozenset(
         "side",
         "delayed",
         "filtered",
+        "wound",
         "heat",
         "rest",
         "at_limit",

@@ -86,6 +86,8 @@ def test_an_mjcf_is_read_as_mujoco_reads_it(tmp_path):
     zero, ones = np.zeros(2), np.ones(2)
     np.testing.assert_allclose(found["kp"], torque(zero, zero) - torque(ones, zero))
     np.testing.assert_allclose(found["damping"], torque(zero, zero) - torque(zero, ones))
+    path.write_text(MJCF.replace("kv=", "dampratio="))  # its damping depends on the inertias
+    np.testing.assert_array_equal(np.isnan(read_parameters(path, ARM)["damping"]), [False, True])
 
 
 def test_files_that_say_nothing_of_the_arm_are_refused(tmp_path):

@@ -128,7 +128,7 @@ def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
     """Return the parameters [SI] in an MJCF by name of the driven joint.
 
     Default classes are applied; missing attributes have MuJoCo's defaults: one for kp, gear and
-    gainprm, else zero. Raises InputError.
+    gainprm, else zero. Damping is NaN where the file gives a ratio. Raises InputError.
     """
     with foreign(f"{path.name}: malformed XML"):
         root = ET.fromstring(read_xml(path))
@@ -175,7 +175,8 @@ def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
         rows[actuator["joint"]] = {
             "kp": kp * gear**2,
             "friction": _first(joint, "frictionloss"),
-            "damping": _first(joint, "damping") + kv * gear**2,
+            # By a ratio MuJoCo computes the damping from the inertias of the whole model.
+            "damping": np.nan if "dampratio" in actuator else _first(joint, "damping") + kv * gear**2,
             "armature": _first(joint, "armature"),
             "delay": _first(actuator, "delay"),
         }

@@ -10,13 +10,17 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.motion.engine import LogProblem, smooth_functions, with_candidates
 from casadical.diagnosis.motion.servo_rows import Replay, saturation_columns, servo_problem, simulated_columns
 from casadical.diagnosis.motion.torque_rows import STRIBECK_SPEED_RAD_S, torque_problem
-from casadical.diagnosis.motion.view import LogView, Signals, signals_of
+from casadical.diagnosis.motion.view import LIMIT_SHARE, LogView, Signals, signals_of
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import Cause, motion_effects
 from casadical.effects.settings import grid_points
 
 # Causes that only a comparison with a healthy log (reference) of the same arm can show.
 FRICTION_CAUSES = ("coulomb_friction", "viscous_friction", "load_friction")
+MAX_PLATEAUS = 8  # number of the longest plateaus of a joint's torque that saturation may explain
+PLATEAU_ERROR_RAD = 0.01  # typical position error at the end of a plateau [rad]
+# Causes on no list that keep a listed one from being named where they fit better.
+NAMED_RIVALS = ("gain_switching", "integrator_windup", "bump")
 # Name of dry and of viscous friction among a cause's variables -> kinds of the base's torque columns.
 FRICTION_KINDS = {"friction": ("slip", "loaded", "dip"), "drag": ("viscous", "curved")}
 
@@ -38,7 +42,7 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
             log, variables={**log.variables, "slip": np.sign(log.motion.v)}, frictions=_frictions(problem, log)
         )
         made = [(candidate, signals_of(log, effect)) for candidate, effect in effects]
-        made += smooth_functions(log, problem.rows, problem.fit.variance)
+        made += [*_plateaus(log), *smooth_functions(log, problem.rows, problem.fit.variance)]
         return with_candidates(problem, [(c, signals) for c, signals in made if signals])
     problem, replay, x = servo_problem(views)
     torques = {"friction": np.exp(x[:, 2] - x[:, 0]), "drag": np.exp(x[:, 3] - x[:, 0]) * log.motion.v}
@@ -52,7 +56,31 @@ def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffe
     for joint in range(1, joints + 1) if kind.acts_at == "joints" else (None,):
         for point in grid_points(kind):
             effect = kind(joint, **point)
-            yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), effect
+            label = name if joint is None else f"{name}@{joint}"
+            yield Candidate(label, name, joint, ((effect,),), listed=name not in NAMED_RIVALS), effect
+
+
+def _plateaus(view: LogView) -> Iterator[tuple[Candidate, list[Signals]]]:
+    """Yield saturation of each joint by the plateaus of its torque, in which its position error is free.
+
+    In each of the longest plateaus the error is a parabola in time.
+    """
+    m, kind = view.motion, motion_effects()["saturation"]
+    assert m.torque is not None
+    for j in range(view.arm.joints) if view.response is not None else ():
+        torque = m.torque[:, j]
+        at = np.sign(torque) * (np.abs(torque) > LIMIT_SHARE * np.quantile(np.abs(torque), 0.998))
+        edges = np.flatnonzero(np.append(True, (np.diff(at) != 0) | (np.diff(m.run) != 0)))
+        ends = np.append(edges[1:], len(at))
+        plateaus = sorted((a - b, a, b) for a, b in zip(edges.tolist(), ends.tolist(), strict=True) if at[a])
+        signals: list[Signals] = []
+        for _, a, b in plateaus[:MAX_PLATEAUS]:
+            for power in range(3):
+                column = np.zeros(len(at))
+                column[a:b] = PLATEAU_ERROR_RAD * np.linspace(0, 1, b - a) ** power
+                signals.append({("position", j): column})
+        if signals:
+            yield Candidate(f"saturation@{j + 1}", "saturation", j + 1, ((kind(j + 1),),)), signals
 
 
 def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:

@@ -12,10 +12,10 @@ from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, rounded_at
-from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, Outcome, search
+from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, Outcome, joint_of, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
-from casadical.diagnosis.motion.hypotheses import problem_of
+from casadical.diagnosis.motion.hypotheses import NAMED_RIVALS, problem_of
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
 from casadical.diagnosis.motion.view import UNDECLARED_PAYLOAD_SHARE, LogView, log_view
 from casadical.effects.motion import Cause, motion_effects
@@ -96,7 +96,7 @@ class LogDiagnosis(Result):
         if torques were logged, else hints; () if the log is faulty.
         """
         found = () if self.faults else self.outcome.found
-        joints = [f.label.partition("@")[2] for f in found]
+        joints = [joint_of(f.label) for f in found]
         least = MIN_FURTHER_EVIDENCE if self.view.motion.torque is None else 0.0
         return tuple(
             f
@@ -184,13 +184,16 @@ class LogDiagnosis(Result):
         said = [*(f.sentence for f in self.faults), *(_stop_in_words(s, self.log) for s in self.stops)]
         hints = [in_words(self.outcome.problem, *f.twins) for f in self.fitting]
         if self.named:
-            said += hints
+            others = dict.fromkeys(joint_of(f.label) for f in self.outcome.found if not f.listed)
+            said += [*hints, *(f"in joint {joint} is more than on the list" for joint in others)]
         elif self.outcome.found and not self.stops:
             said.append("more is there than in a usual arm")
             first = self.outcome.found[0].label
-            joint = first.partition("@")[2] or first.partition(" of joint ")[2].partition(" ")[0]
-            said[-1] += f", most of all in joint {joint}" if joint else ""
+            said[-1] += f", most of all in joint {joint_of(first)}" if joint_of(first) else ""
             said[-1] += f"; no cause is named, but a hint fits: {hints[0]}" if hints else "; no listed cause fits it"
+            candidate = self.outcome.problem.by_label[first]
+            if candidate.name in NAMED_RIVALS:
+                said[-1] += f", but {candidate.name.replace('_', ' ')} does: {in_words(self.outcome.problem, first)}"
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
             said=said,
@@ -307,7 +310,7 @@ def in_words(problem: LogProblem, label: str, *twins: str) -> str:
     twins : labels of causes that these data do not distinguish from it; their names are added
     """
     candidate = problem.by_label[label]
-    if not candidate.listed:
+    if candidate.name == "unknown":
         return f"on no list: {label}"
     names = dict.fromkeys(k.partition("@")[0] for k in (label, *twins))
     signature = candidate.variants[0][0].signature + (f" ({' or '.join(names)})" if twins else "")

@@ -223,4 +223,6 @@ def own_variables(log_view: LogView, effect: DefinedEffect) -> dict[str, Array]:
         variables["delayed"] = m.by_run(lambda c: c - delayed(c, effect.late / m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
         variables["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
+    if "wound" in effect.drivers and "servo" in log_view.variables:
+        variables["wound"] = m.by_run(lambda e: lagged(e, effect.within, m.step), log_view.variables["servo"])
     return variables | {k: v for k, v in log_view.frictions.items() if k in effect.drivers}
