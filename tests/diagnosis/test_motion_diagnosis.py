@@ -280,7 +280,8 @@ def table(log):
     return pd.DataFrame({"time_s": log.time, "run": log.run, **named})
 
 
-def test_the_command_recognises_a_log(tmp_path):
+def test_the_command_recognises_a_log(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["casadical", "diagnose", "arm.toml", "motion.csv"])  # is repeated at the end
     robot, log, out = (str(tmp_path / n) for n in ("arm.toml", "motion.csv", "found.json"))
     table(simulated(1, contact)).to_csv(log, index=False)
     write_robot(ROBOT, robot)

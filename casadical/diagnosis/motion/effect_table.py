@@ -25,6 +25,7 @@ REMOVALS: Mapping[str, Callable[[Response], Response]] = {
     "surface": lambda r: replace(r, floor=None),
     "stops": lambda r: replace(r, stops=()),
 }
+SHORT_NAMES = {"dry friction": "friction", "damping": "9/10 damping"}  # in the table
 # The sentence names the effects and joints that together have this fraction of all costs.
 NAMED_SHARE = 0.8
 # An effect counts as having no cost if its removal raises the mean square error, summed over the
@@ -91,13 +92,12 @@ class EffectTable:
         """Return the rms errors by joint (column): with no effect, without each one, with all."""
         rows = {
             "everything": self.before,
-            **{name.removeprefix("dry "): rms for name, rms in self.without.items()},
+            **{SHORT_NAMES.get(name, name): rms for name, rms in self.without.items()},
             "(in sum)": self.sum_of_parts,
             "nothing": self.full,
         }
-        less = " (damping: 9/10)" if "damping" in self.without else ""
         return Table(
-            f"{self.title} without one effect{less}, rms [{self.unit}]",
+            f"{self.title} without one effect, rms [{self.unit}]",
             ("without", *(name.replace("_", " ") for name in self.joints)),  # wrapped at spaces
             [(name, *(f"{self.factor * v:.3g}" for v in rms)) for name, rms in rows.items()],
             frozenset(range(1, 1 + len(self.joints))),
