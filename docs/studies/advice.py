@@ -22,8 +22,10 @@ The rules were committed before the first run that counts. A statement is false 
 - better: errors of held-out poses fall, and the calibrated robot is truly worse.
 - open: both robots are equally good to within x mm, and their true mean errors differ by more, or
   the nominal robot, placed as well as it can be at the 1000 poses, has an rms error above 2 x.
-- more: n more poses would tell, and with four times as many as are then held out, true means and
-  scatters of readings with noise would still be within the uncertainty that `calibrate` states.
+- more: if the difference stays, n more poses would tell; it is, of readings with noise, at least as
+  great in truth, and with four times as many as are then held out it would still be within the
+  uncertainty that `calibrate` states. Up to user 1014 the words did not say "if", and the true
+  difference was not asked for; one statement was false.
 
 "Cannot tell" is never false; it is counted, and how often a paired comparison of the same held-out
 poses could tell, at twice its standard error.
@@ -50,6 +52,7 @@ from casadical.core.reporting.result import plain_text
 from casadical.identification import predicted
 from casadical.identification.accuracy import errors
 from casadical.measurements.reading import from_table
+from casadical.project.outcome import judged_on
 
 TENTH, OPEN, FOUR, TESTED = 0.1, 2.0, 4.0, 1000
 # Statement -> what the screen says, in one line.
@@ -59,7 +62,7 @@ SAYS = {
     "hardly helps": r"The calibration hardly helps",
     "method worse": r"do not use (\w+)\.robot",
     "cannot tell": r"cannot tell which is better",
-    "more would": r"some (\d+) more would",
+    "more would": r"if this difference stays, some (\d+) more would",
     "undecided": r"cannot be decided whether the calibration helps",
     "falls": r"On \d+ poses that were held out, the mean [\w ]+ falls from",
     "grows": r"On \d+ poses that were held out, the mean [\w ]+ grows from",
@@ -125,8 +128,10 @@ def best_placed(user: users.User, q: np.ndarray, truth: np.ndarray) -> float:
     return float(np.sqrt(3 * np.mean((A @ np.linalg.lstsq(A, b, rcond=None)[0] - b) ** 2)))
 
 
-def needed(noise: float, wires: bool, before: np.ndarray, after: np.ndarray, rng: np.random.Generator) -> float:
-    """Held-out poses from which the true difference of mean errors exceeds the uncertainty that is stated.
+def needed(
+    noise: float, wires: bool, before: np.ndarray, after: np.ndarray, rng: np.random.Generator
+) -> tuple[float, float]:
+    """True difference of mean errors [m], and held-out poses from which it exceeds the uncertainty that is stated.
 
     before, after : true error vectors, shape (m, 3) [m]
     """
@@ -136,7 +141,8 @@ def needed(noise: float, wires: bool, before: np.ndarray, after: np.ndarray, rng
         np.abs(((e - noises) * line).sum(axis=1)) if wires else np.linalg.norm(e - noises, axis=1)
         for e in (before, after)
     )
-    return float(4 * (a.var() + b.var()) / max((a.mean() - b.mean()) ** 2, 1e-20))
+    off = float(abs(a.mean() - b.mean()))
+    return off, float(4 * (a.var() + b.var())) / max(off**2, 1e-20)
 
 
 def tried(number: int) -> tuple[str, list[str], Counter[str]]:
@@ -184,8 +190,10 @@ def tried(number: int) -> tuple[str, list[str], Counter[str]]:
         paired, _ = direction(*(np.concatenate([errors(r, m) for m in held]) for r in (result.placed, result.robot)))
     if "more would" in said:
         n = sum(map(len, held)) + int(said["more would"][1])
-        near = needed(noise, user.instrument == "wires", *vectors, rng)
-        false += [f"more: {n} held out, truly {near:.0f}"] if near > FOUR * n else []
+        _, read, also, _ = judged_on(found.accuracies)
+        off, near = needed(noise, user.instrument == "wires", *vectors, rng)
+        if off >= abs(read.mean - also.mean) and near > FOUR * n:
+            false.append(f"more: {n} held out, truly {near:.0f}")
     counted = Counter([*said, {1: "truly better", 0: "truly equal", -1: "truly worse"}[true]])
     if "cannot tell" in said:
         counted[f"cannot tell, truly {true:+d}"] += 1

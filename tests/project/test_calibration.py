@@ -174,8 +174,8 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "n", "words"),
     [
-        (1.228, 1.484, 11, "is 1.484 mm with KM, 1.228 mm before: these poses cannot tell which is better, some 49"),
-        (1.484, 1.228, 11, "is 1.228 mm with KM, 1.484 mm before: these poses cannot tell which is better, some 49"),
+        (1.228, 1.484, 11, "is 1.484 mm with KM, 1.228 mm before: these poses cannot tell which is better; if"),
+        (1.484, 1.228, 11, "is 1.228 mm with KM, 1.484 mm before: these poses cannot tell which is better; if"),
         (1.228, 1.484, 80, "grows from 1.228 mm to 1.484 mm with KM (21 % more)"),
         (1.484, 1.228, 80, "falls from 1.484 mm to 1.228 mm with KM (17 % less)"),
         (1.0, 1.0, 80, "is 1.000 mm with KM, 1.000 mm before: these poses cannot tell which is better."),
@@ -190,6 +190,7 @@ def test_a_difference_within_its_uncertainty_is_none(calibrated, before, after, 
     states = {"KM": {"report": {"nominal": placed, "placed": placed, "calibrated": found}}}
     said = " ".join(plain_text(report_blocks(problem, states, block="verdict")).split())
     assert f"the mean position error {words}" in said
+    assert ("if this difference stays, some 49 more would." in said) == (n == 11)
 
 
 def test_an_error_is_localised_in_positions_of_one_set_only(calibrated) -> None:
