@@ -11,6 +11,7 @@ from casadical import Body, InputError, Joint, Placement, Robot
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.settings_search import neighbours
 from casadical.effects import (
+    Backlash,
     Effect,
     FrictionWindup,
     GearMesh,
@@ -128,6 +129,13 @@ def test_any_function_of_load_saturates_twice_and_is_even_twice(load: float) -> 
     found = {name: float(value) for name, _, value in effect.terms(context)}
     own = {"s": np.tanh(8 * load), "t": np.tanh(2 * load), "e": np.hypot(load, 0.01), "q": load**2}
     assert found == pytest.approx(own | {"a": -1.0} | {f"a{name}": -value for name, value in own.items()})
+
+
+def test_settings_of_a_backlash_that_are_not_given_are_among_those_that_are_tried() -> None:
+    tried = [effect for effect in Backlash.candidates(robot("ur10e")) if effect.joint == 2]
+    for name in ("friction", "width"):
+        low, high = (pick(getattr(effect, name) for effect in tried) for pick in (min, max))
+        assert low < getattr(Backlash(2), name) < high
 
 
 def test_friction_finds_the_spring_that_another_effect_brings() -> None:

@@ -16,10 +16,11 @@ from casadical import InputError, Placement, Robot, identify, read_robot, write_
 from casadical.core.reporting.figure import Figure
 from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.touch_model import CHANGE_FREQUENCY
-from casadical.fleet.touches import Touches, changes_in_fleet, judge_touches, plan_touches
+from casadical.fleet.touches import Touches, _widened_remaining, changes_in_fleet, judge_touches, plan_touches
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import with_knowledge
+from casadical.robot.robot import RemainingErrors
 
 BASE = Placement(frame(from_rpy(np.array([0.1, 0.0, 0.4])), np.array([1.0, 0.3, 0.0])), "pose")
 ARM = six_axis(base=BASE)
@@ -195,6 +196,17 @@ def test_of_many_parameters_that_moved_the_eight_first_are_shown() -> None:
     found = SimpleNamespace(moved=[(f"a{k}", 0.1, 0.01, "mm") for k in range(12)])
     (shown,) = Touches.what_moved.fget(found)
     assert [row[0] for row in shown.rows] == [f"a{k}" for k in range(8)]
+
+
+def test_what_a_correction_does_not_know_is_added_to_the_remaining_errors() -> None:
+    rng = np.random.default_rng(0)
+    before = RemainingErrors(("a", "b", "c"), rng.normal(size=(3, 2)) * 1e-5, 2e-5, 30)
+    root, scale = rng.normal(size=(2, 2)) * 1e-4, np.array([2.0, 5.0])
+    after = _widened_remaining(before, ["c", "a"], root @ root.T, scale)
+    expected = before.factor @ before.factor.T
+    expected[np.ix_([2, 0], [2, 0])] += root @ root.T * np.outer(scale, scale)
+    np.testing.assert_allclose(after.factor @ after.factor.T, expected, rtol=1e-9, atol=1e-22)
+    assert _widened_remaining(None, ["a"], root, scale) is None
 
 
 def test_bad_touches_are_refused_or_said(place, tmp_path):

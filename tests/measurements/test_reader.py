@@ -9,6 +9,7 @@ import pytest
 from command_line import run
 
 from casadical import InputError, read_measurements, read_problem
+from casadical.measurements.arrangement import joined
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table
 from casadical.measurements.table_form import decoded
@@ -141,3 +142,12 @@ def test_a_column_without_a_cell_is_there_but_empty(tmp_path):
         read_measurements(tmp_path / "poses.csv", 2)
     with pytest.raises(InputError, match="column q1_deg is empty"):
         Columns.of_file(read_table(tmp_path / "poses.csv")).si("q1", ["_deg", "_rad"])
+
+
+def test_two_files_are_joined_by_their_numbers_or_put_below_each_other(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("point,q1_deg\n1,10\n2,20\n3,30\n")
+    (tmp_path / "b.csv").write_text("point,x_mm\n3,300\n1,100\n2,200\n")
+    one, other = (read_table(tmp_path / name) for name in ("a.csv", "b.csv"))
+    both = joined([one, other]).frame
+    assert both[["q1_deg", "x_mm"]].astype(float).to_numpy().tolist() == [[10, 100], [20, 200], [30, 300]]
+    assert joined([one, one]).frame["q1_deg"].astype(float).tolist() == [10, 20, 30, 10, 20, 30]

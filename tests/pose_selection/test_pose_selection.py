@@ -18,6 +18,7 @@ from casadical.identification.prior import carry_over
 from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
 from casadical.pose_selection.candidates import (
     Candidates,
+    _later_column,
     candidates_at,
     draw,
     expected,
@@ -161,6 +162,12 @@ def test_time_goes_with_the_order(robot) -> None:
     assert "progress" not in found.table
     two_hours = timeline(["temperature_degC"], np.linspace(0, 1, 9), 240, Circumstances())["temperature_degC"]
     np.testing.assert_allclose(two_hours, 20 + 5 * (1 - np.exp(-np.linspace(0, 120, 9) / 35)), atol=1e-3)
+
+
+def test_later_poses_have_the_campaigns_values_or_none() -> None:
+    rng, warm = np.random.default_rng(0), np.zeros(50, dtype=bool)
+    assert set(_later_column("humidity", np.array([1.0, 3.0]), warm, np.zeros(1), rng)) == {1.0, 3.0}
+    assert not _later_column("humidity", None, warm, np.zeros(1), rng).any()
 
 
 def test_a_column_that_cannot_be_planned_is_named(robot) -> None:

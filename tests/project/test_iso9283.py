@@ -60,6 +60,7 @@ def test_the_figures_are_those_of_a_sheet_by_hand(sheet):
     # AP .1, .3, .2: dAP .2. RP 0, then l = .1, .1 and S = 0, then 0: dRP .1.
     assert found.drift is not None
     np.testing.assert_allclose(1e3 * np.array(found.drift), [0.2, 0.1], atol=1e-9)
+    assert found.table().rows[0] == ("P1", "4", "0.200", "+0.2000", "+0.0000", "+0.0000", "0.546", "0.500")
     assert found.model is None
     assert found.notes == ("fewer visits than the 30 of the standard at P1, P2",)
     # One path and one group of visits tell neither a variation nor a drift.

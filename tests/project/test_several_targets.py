@@ -4,16 +4,19 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import arms
 import first_hour
 import numpy as np
 import pytest
 from command_line import main
 
-from casadical import InputError, calibrate, compare_files, diagnose, read_robot, verify
+from casadical import InputError, Measurements, calibrate, compare_files, diagnose, read_robot, verify
+from casadical.core.transforms import frame
 from casadical.identification import errors
 from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_problem
+from casadical.project.targets import recognised
 from casadical.robot.robot_file import to_toml
 
 POINTS = np.array([[62.0, -35.0, 148.0], [-60.0, 20.0, 150.0], [10.0, 90.0, 120.0]])
@@ -140,6 +143,17 @@ def test_targets_at_one_stop_are_in_one_set_and_no_repeats(tmp_path: Path) -> No
     m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", robot)
     stops = replace(m, q=np.round(m.q, 3))
     assert diagnose(robot, stops, effects=["backlash"], laws=False).replicates.poses == 0
+
+
+def test_points_of_targets_that_nobody_named_are_those_of_the_flange() -> None:
+    model = arms.six_axis()
+    points = model.tool.T[:3, 3] + np.array([[0.0, 0.0, 0.0], [0.12, 0.03, 0.0], [-0.05, 0.1, 0.06]])
+    built = [replace(model, tool=replace(model.tool, T=frame(model.tool.T[:3, :3], point))) for point in points]
+    q = arms.readings(model, 40, 0)
+    position = np.stack([arms.positions(one, q, k).position for k, one in enumerate(built)], axis=1).reshape(-1, 3)
+    found = recognised(model, Measurements(np.repeat(q, 3, axis=0), "position", position=position))
+    np.testing.assert_allclose(found.points, points, atol=5e-4)
+    assert found.which.tolist() == [0, 1, 2] * 40
 
 
 def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
 from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, RemainingErrors, blocks
 from casadical.robot.robot_file import robot_files, robot_from, to_toml
+from casadical.robot.robot_schema import _Body
 
 # What reads distances or full poses has columns of its own, of where it measures to.
 OF_INSTRUMENTS = {
@@ -315,6 +316,15 @@ def test_an_error_beside_its_value_is_enough(tmp_path: Path) -> None:
     text = "\n".join(text_of(found, found.effects, found.knowledge))
     assert "std_error = 2e-06" in text
     assert "[[covariance]]" not in text
+
+
+@pytest.mark.parametrize("moments", [None, [1.0, 0.0, 0.0, 1.0, 0.0, 1.9], [1.0, 0.0, 0.0, 1.0, 0.0, 2.1]])
+def test_moments_of_inertia_that_no_body_has_are_refused(moments: list[float] | None) -> None:
+    if moments and moments[-1] > 2:
+        with pytest.raises(ValueError, match="no body has such moments"):
+            _Body(mass_kg=1.0, inertia_kgm2=moments)
+    else:
+        assert _Body(mass_kg=1.0, inertia_kgm2=moments).body().mass == 1.0
 
 
 def test_a_covariance_is_refused_where_it_is_made() -> None:

@@ -1,12 +1,15 @@
 """Blocks and figures as data: every renderer shows the same words, cells and numbers, and none what is not there."""
 
 import re
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from casadical.cli.terminal import refusal, wrapped
+from casadical.core.reporting import pdf
 from casadical.core.reporting.blocks import Page, Section, Table, Tile, Words, figures_named
-from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
+from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series, Span, ticks_of_decades
 from casadical.core.reporting.page import html_of
 from casadical.core.reporting.result import html, plain_text
 
@@ -102,6 +105,28 @@ def test_rows_are_words_from_the_top_and_intervals_lie_along_them() -> None:
     assert list(picture.layout.yaxis.ticktext) == ["first", "a and<br>b"]
     assert picture.layout.yaxis.range[0] > picture.layout.yaxis.range[1]
     assert (list(picture.data[0].error_x.arrayminus), list(picture.data[0].error_x.array)) == ([0.5, 0.1], [0.2, 0.3])
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_figures_of_a_sheet_stand_side_by_side_within_its_margins(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    places: list[tuple[float, float]] = []
+    monkeypatch.setattr(pdf, "_figure", lambda sheet, figure, left, top, wide, high: places.append((left, wide)))
+    sheet = SimpleNamespace(get_y=lambda: 10.0, set_xy=lambda x, y: None)
+    pdf._figures(sheet, [drawn()] * count, 1.0)
+    edges = np.array([(left, left + wide) for left, wide in places])
+    assert edges[0, 0] == pdf.MARGIN_MM
+    assert edges[-1, 1] == pytest.approx(pdf.MARGIN_MM + pdf.TEXT_WIDTH_MM)
+    np.testing.assert_allclose(edges[1:, 0] - edges[:-1, 1], 6.0)  # mm between two
+
+
+@pytest.mark.parametrize(("shared", "title", "gap"), [("x", "n", 30), ("", "", 30), ("", "n", 50)])
+def test_the_gap_between_panels_holds_the_ticks_where_they_have_some(shared: str, title: str, gap: int) -> None:
+    panels = [Panel(k, 1, f"panel {k}", Axis(title)) for k in (1, 2)]
+    lines = [Series("line", [1, 2], [1.0, 2.0], panel=k) for k in (0, 1)]
+    figure = Figure("n", "t", lines, panels=panels, shared=shared, height=500)
+    draw = pytest.importorskip("casadical.core.reporting.drawing").draw
+    upper, lower = draw(figure).layout.yaxis.domain, draw(figure).layout.yaxis2.domain
+    assert (upper[0] - lower[1]) * (500 - 76 - 100) == pytest.approx(gap)  # less the title and the legend
 
 
 def test_figures_are_chosen_by_name_or_by_the_first_part_of_it() -> None:
