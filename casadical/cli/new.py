@@ -111,13 +111,9 @@ def new(
         show=lambda block: tell(console, block),
         also=answer,
     )
-    files = sorted(str(p) for p in folder.iterdir() if p.is_file())
-    console.print(
-        f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}",
-        soft_wrap=True,
-    )
-    for path in files:
-        console.print(f"wrote {path}", soft_wrap=True)
+    files = ", ".join(sorted(p.name for p in folder.iterdir() if p.is_file()))
+    console.print(f"{folder}: {problem.robot.name}, {problem.robot.n} joints, {problem.origin}", soft_wrap=True)
+    console.print(f"wrote {files} in {folder}", soft_wrap=True)
     suggest(console, "to look for slips before a calibration", "check", folder)
     print_written(json_file, console)
 

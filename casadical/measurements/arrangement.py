@@ -11,8 +11,9 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.measurements.array_files import expanded
-from casadical.measurements.columns import in_seconds, numbers_of
-from casadical.measurements.headings import points_in_order, position_groups, words_of
+from casadical.measurements.columns import in_seconds, numbers_of, seconds_of_one
+from casadical.measurements.headings import complete_groups, headings_of, words_of
+from casadical.measurements.proposals import position_groups
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.table_form import Form
 from casadical.measurements.vocabulary import WORDS
@@ -33,9 +34,11 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
         lists = [str(name) for name in raw.frame if name not in split]
         said = f"{raw.path.name}: lists in the cells of {', '.join(lists)} are columns."
         raw = replace(_made(raw, split, said), line=raw.line)
-    found = position_groups(raw) if raw.form.header_line else points_in_order(raw)
-    groups = [g for g in found if not {h.name for h in g} & {*given}]
+    groups = [g for g in position_groups(raw) if not {h.name for h in g} & {*given}]
     points = [np.column_stack([h.values for h in g]) for g in groups]
+    # A rounded copy of a point is none of its own.
+    whole = [k for k, a in enumerate(points) if not any(a is not b and _rounds(a, b) for b in points)]
+    groups, points = [groups[k] for k in whole], [points[k] for k in whole]
     best: tuple[int, ...] = ()
     pairs = {pair for pair in combinations(range(len(groups)), 2) if _rigid(points[pair[0]], points[pair[1]])}
     for k in range(len(groups)):
@@ -43,19 +46,22 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
         best = max(best, together, key=len)
     if len(best) < 2:
         return raw
-    names = _target_names([{*groups[k][0].rest, *groups[k][0].numbers} for k in best])
+    turns = complete_groups([h for h in headings_of(raw, ()) if h.quantity == "turn"], "xyz")
+    turned = {g[0].rest: g for _, g in turns}
+    turned = turned if all(groups[k][0].rest in turned for k in best) else {}
+    names = _target_names([{*groups[k][0].rest} for k in best])
     names = names if raw.form.header_line else _numbered(len(best))
-    taken = [h.name for k in best for h in groups[k]]
-    others = raw.frame.drop(columns=taken)
+    columns = {k: [*groups[k], *turned.get(groups[k][0].rest, ())] for k in best}
+    others = raw.frame.drop(columns=[h.name for part in columns.values() for h in part])
     units = dict(zip(raw.header, raw.form.units, strict=False))
     parts = []
-    for name, k in zip(names, best, strict=True):
-        unit = groups[k][0].unit or units.get(groups[k][0].name, "")
-        columns = {
-            f"point {c} [{unit}]" if unit else f"point {c}": h.values for c, h in zip("xyz", groups[k], strict=True)
-        }
+    for name, (k, part) in zip(names, columns.items(), strict=True):
+        own = {}
+        for h in part:
+            unit = h.unit or units.get(h.name, "")
+            own[f"{'rotation' if h.quantity == 'turn' else 'point'} {h.slot}{f' [{unit}]' * bool(unit)}"] = h.values
         seen = np.isfinite(points[k]).any(axis=1)
-        parts.append(others.assign(**columns, tool=name, **{"row of the file": raw.line})[seen])
+        parts.append(others.assign(**own, tool=name, **{"row of the file": raw.line})[seen])
     table = pd.concat(parts).sort_values("row of the file", kind="stable")
     apart = float(np.nanmedian(np.linalg.norm(points[best[0]] - points[best[1]], axis=1)))
     copies = apart < 1e-3 * float(np.nanmax(np.nanstd(points[best[0]], axis=0)))
@@ -63,6 +69,14 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
     what = "repeated measurements" if copies else f"targets, {', '.join(names)},"
     said = f"{len(best)} {what} stand side by side: each row gives {len(best)} rows, {len(table)} in all."
     return _made(raw, table, f"{raw.path.name}: {said}")
+
+
+def _rounds(a: Array, b: Array) -> bool:
+    """Return whether the coordinates a are those of b with fewer decimals, shape (n, 3)."""
+    both = np.isfinite(a) & np.isfinite(b)
+    x, off = a[both], np.abs(a[both] - b[both]).max(initial=0)
+    digits = next((k for k in range(6) if np.allclose(x, x.round(k), atol=1e-9)), 6)
+    return digits < 6 and bool(0 < off < 0.51 * 10.0**-digits)
 
 
 def _rigid(a: Array, b: Array) -> bool:
@@ -131,8 +145,11 @@ def _pair(a: RawTable, b: RawTable) -> RawTable:
         left, right = keys[0]
         return _made(a, _merged(a, b, left, right), f"{names} are joined by their columns {left!r} and {right!r}.")
     times = _time(a), _time(b)
-    if times[0] and times[1] and _overlap(a, b, times[0], times[1]):
-        return _by_time(a, b, times[0], times[1])
+    if times[0] and times[1]:
+        x, y = _seconds(a, times[0]), _seconds(b, times[1])
+        # Over 80 % of the times of one table are within those of the other, +- 1 s.
+        if max(np.mean((u >= v.min() - 1) & (u <= v.max() + 1)) for u, v in ((x, y), (y, x))) > 0.8:
+            return _by_time(a, b, x, y)
     if len(a.frame) == len(b.frame):
         right_frame = b.frame.rename(columns=_apart(a, b)).reset_index(drop=True)
         table = pd.concat([a.frame.rename(columns=_apart(b, a)).reset_index(drop=True), right_frame], axis=1)
@@ -204,34 +221,20 @@ def _time(raw: RawTable) -> str:
 
 
 def _seconds(raw: RawTable, name: str) -> Array:
-    """Return the times of a column [s].
-
-    Without a unit, times as large as those since 1970 in ms, us or ns are taken to be in these.
-    """
-    seconds = in_seconds(raw.frame[name])
-    unit = words_of(name)[1]
-    factor = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
-    if factor is None:
-        size = float(np.median(np.abs(seconds)))
-        factor = next((f for most, f in ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6)) if size < most), 1e-9)
-    return np.asarray(seconds * factor)
+    """Return the times of a column [s]."""
+    times = in_seconds(raw.frame[name])
+    return np.asarray(times * seconds_of_one(times, words_of(name)[1]))
 
 
-def _overlap(a: RawTable, b: RawTable, left: str, right: str) -> bool:
-    """Return whether over 80 % of the times of one table are within those of the other, +- 1 s."""
-    x, y = _seconds(a, left), _seconds(b, right)
-    inside = [np.mean((u >= v.min() - 1) & (u <= v.max() + 1)) for u, v in ((x, y), (y, x))]
-    return bool(max(inside) > 0.8)
-
-
-def _by_time(a: RawTable, b: RawTable, left: str, right: str) -> RawTable:
+def _by_time(a: RawTable, b: RawTable, of_a: Array, of_b: Array) -> RawTable:
     """Return the rows of the table with fewer rows, with the nearest ones of the other table.
 
     Rows without one within a median step of the other are omitted. Raises InputError: none is left.
+
+    of_a, of_b : times of the rows, shape (n,) [s]
     """
     swap = len(a.frame) > len(b.frame)
-    few, many = (b, a) if swap else (a, b)
-    x, y = _seconds(few, right if swap else left), _seconds(many, left if swap else right)
+    few, many, x, y = (b, a, of_b, of_a) if swap else (a, b, of_a, of_b)
     frame = many.frame.rename(columns=_apart(few, many)).assign(_t=y)
     step = float(np.median(np.diff(y))) if len(y) > 1 else np.inf
     near = pd.merge_asof(

@@ -19,6 +19,7 @@ from casadical.core.basics import Array, Fault, FaultsError, InputError, shown
 from casadical.core.reading import LARGEST_NUMBER
 from casadical.measurements.corners import CORNER_NUMBERS, MIN_CORNERS
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
+from casadical.measurements.vocabulary import UNITS
 
 
 @dataclass(frozen=True)
@@ -546,6 +547,13 @@ def in_seconds(cells: pd.Series) -> Array:
     if dates.isna().any():
         return np.asarray(numbers)
     return np.asarray((dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), dtype=float)
+
+
+def seconds_of_one(times: Array, unit: str) -> float:
+    """Return the unit of times in seconds: by its word, else by the size that stamps since 1970 have."""
+    size = float(np.median(np.abs(times)))
+    stamps = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6))
+    return UNITS[unit][1] if unit else next((factor for most, factor in stamps if size < most), 1e-9)
 
 
 def _cell(text: object) -> str:

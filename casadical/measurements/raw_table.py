@@ -268,6 +268,9 @@ def _table_of(path: Path, records: list[table_form.Record], encoding: str, separ
     spare = {len(cells) - len(names) for _, cells in rows}
     if len(rows) > 1 and len(spare) == 1 and not any("".join(cells[len(names) :]).strip() for _, cells in rows):
         rows = [(line, cells[: len(names)]) for line, cells in rows]
+    firsts = [cells[0] for _, cells in rows if not re.search(r"\d[.,]\d", cells[0])]
+    if spare == {1} and len({*firsts}) == len(rows) > 1:  # numbers of the rows, without a heading
+        names = ("", *names)
     for line, cells in rows:
         if len(cells) > len(names):
             sizes = f"row {line} has {len(cells)} cells, the header {len(names)}"

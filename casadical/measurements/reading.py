@@ -11,9 +11,9 @@ from casadical.core.basics import Array, InputError
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.measurements.arrangement import long
 from casadical.measurements.columns import FULL_TURN_RAD, MAX_TURNS, Columns, Source, columns_used
-from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
+from casadical.measurements.proposals import Understanding, understand
 from casadical.measurements.raw_table import RawTable, read_table
 
 
@@ -58,7 +58,7 @@ def _sources(
 
     Raises InputError where the headings leave a question.
     """
-    meaning = understand(raw, _kinds(joints, raw.path.name), columns, kind=kind)
+    meaning = understand(raw, _kinds(joints, raw.path.name), columns, kind=kind).in_usual_order
     refuse_open(raw, meaning)
     return {**meaning.sources, **columns}
 

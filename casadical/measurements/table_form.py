@@ -1,7 +1,7 @@
 """Form of a text table: encoding, separator, decimal sign, comments, headings and row of units.
 
 The form is recognised from the text alone, without questions to the user. What the text does not
-show (units, meaning of the columns) is decided in `casadical.measurements.headings`.
+show (units, meaning of the columns) is decided in `casadical.measurements.proposals`.
 """
 
 import codecs
@@ -120,7 +120,9 @@ def records_of(text: str, separator: str) -> list[Record]:
 
 
 def clean(cell: str) -> str:
-    """Return a cell without blanks around it, its digits and signs in ASCII."""
+    """Return a cell without blanks around it, its digits and signs in ASCII; of ="..." the text."""
+    if cell.lstrip().startswith('="'):
+        cell = cell.strip()[2:].removesuffix('"')
     return cell.strip() if cell.isascii() else unicodedata.normalize("NFKC", cell).replace("−", "-").strip()
 
 

@@ -14,13 +14,14 @@ from casadical.core.schema import check
 from casadical.identification.plausibility import check_against
 from casadical.measurements.arrangement import long
 from casadical.measurements.columns import Columns, columns_used
-from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.logs.reading import is_log
+from casadical.measurements.proposals import understand
 from casadical.measurements.raw_table import read_table
 from casadical.measurements.reading import from_columns
 from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, robot_of_file, table_like, tables_of
-from casadical.project.robot_columns import understood, with_coupled
+from casadical.project.recognition import understood
+from casadical.project.robot_columns import with_coupled
 from casadical.robot.robot import Robot
 
 Given = ParamSpec("Given")

@@ -40,7 +40,8 @@ from casadical.project.problem_file import (
     table_like,
     tables_of,
 )
-from casadical.project.robot_columns import as_poses, refuse_nameless, understood, with_coupled, with_target_positions
+from casadical.project.recognition import understood
+from casadical.project.robot_columns import as_poses, refuse_nameless, with_coupled, with_target_positions
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot

@@ -1,88 +1,27 @@
 """Interpretation of a table by the nominal robot: ambiguous headings, targets, coupled joints."""
 
-import math
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.identification.accuracy import errors as position_errors
-from casadical.identification.accuracy import predicted
 from casadical.identification.arm_or_camera import evidence_of
 from casadical.identification.identification import identify
 from casadical.identification.placement import place_frames
-from casadical.identification.plausibility import frame_error, orientation_error
+from casadical.identification.plausibility import orientation_error
 from casadical.identification.sessions import sessions_in
 from casadical.measurements.camera_noise import Camera
-from casadical.measurements.columns import ORIENTATION, Columns, Source
+from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import TIME_COLUMN
-from casadical.measurements.headings import Understanding, layout, orientations_in_order, points, understand
 from casadical.measurements.measurements import Measurements
-from casadical.measurements.raw_table import RawTable
-from casadical.measurements.reading import from_columns
 from casadical.robot.robot import Robot
 
-# Largest error of the nominal robot (see `_total`; of orientation alone in rad) with which the
-# meaning of an ambiguous heading is accepted without a question.
-MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
 # Minimum ratio of the error with every other meaning of a heading to that with the best one, with
 # which the best one is accepted without a question.
 MIN_ERROR_RATIO_TO_OTHERS = 4.0
-# Maximum number of interpretations of a table, none of which fits the robot, with which slips are
-# searched for; each takes a second.
-MAX_CHOICES_WITH_SLIPS = 8
-
-
-def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
-    """Return what headings mean (see `understand`), ambiguities resolved by the nominal robot.
-
-    given : casadical's column name -> declared source
-    kind : kind of measurement, None where it is not declared
-    """
-    placed = any(re.fullmatch("[xyz]_mm?|distance_mm?", name) for name in given)
-    question = None if raw.form.header_line or placed else layout(raw, robot.joints)
-    if question:
-        meaning = _by_model(raw, robot, given, Understanding((), (question,)))
-        usual = understand(raw, robot.joints, given, kind=kind)
-        if not meaning.questions or not usual.columns:
-            return meaning if meaning.questions else _with_orientation(raw, robot, meaning, kind)
-    meaning = _by_model(raw, robot, given, understand(raw, robot.joints, given, kind=kind))
-    return _without_other_frame(raw, robot, given, _measured_instead(raw, robot, given, meaning))
-
-
-def _measured_instead(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
-    """Return the meaning with measured coordinates in place of computed ones, if the table has both.
-
-    given : casadical's column name -> declared source; found : meaning of all columns
-    """
-    computed_ones = [c for c in found.columns if re.fullmatch("[xyz]_mm?", c.ours)]
-    question = points(raw, [c.source.name for c in computed_ones]) if computed_ones and not found.questions else None
-    if question is None:
-        return found
-    with suppress(InputError, np.linalg.LinAlgError):
-        if not computed(robot, _measurements_of(raw, robot, {**found.sources, **given})):
-            return found
-        others = replace(found, columns=tuple(c for c in found.columns if c not in computed_ones))
-        tried = _by_model(raw, robot, given, replace(others, questions=(question,)))
-        if not tried.questions:
-            return tried
-    return found
-
-
-def _with_orientation(raw: RawTable, robot: Robot, found: Understanding, kind: str | None) -> Understanding:
-    """Return the meaning of a table without headings, with an orientation if one fits the robot.
-
-    found : meaning of readings and positions
-    """
-    if kind == "position" or "R00" in found.sources:
-        return found
-    used = {name for source in found.sources.values() for name in (source.name, *source.add)}
-    more = _by_model(raw, robot, {}, replace(found, questions=tuple(orientations_in_order(raw, used))))
-    return replace(more, questions=())
 
 
 def poses_in_words(m: Measurements) -> str:
@@ -103,31 +42,6 @@ def poses_in_words(m: Measurements) -> str:
     return f"Each pose is inverted: the table has the fixed frame as the tool sees it; {where}.{clock}"
 
 
-def _without_other_frame(
-    raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding
-) -> Understanding:
-    """Return the meaning of columns without orientations that were not measured with positions.
-
-    Such orientations are in another frame than the positions, or the controller's own, computed by
-    the nominal model.
-
-    given : casadical's column name -> declared source; found : meaning of all columns
-    """
-    turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
-    if not turned or found.questions:
-        return found
-    # Orientations that agree with the nominal model within this [rad] were computed as well.
-    computed_orientation_tolerance_rad = 2e-5
-    with suppress(InputError, np.linalg.LinAlgError):
-        m = _measurements_of(raw, robot, {**found.sources, **given})
-        if m.orientation is not None and (
-            frame_error(robot, m)
-            or (_orientation_error(robot, m) < computed_orientation_tolerance_rad and not computed(robot, m))
-        ):
-            return replace(found, columns=tuple(c for c in found.columns if c not in turned))
-    return found
-
-
 def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
     """Return measurements with poses of the tool in the measuring frame, and their camera's place.
 
@@ -145,6 +59,19 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
             key = "inverted" if inverted else "camera"
             raise InputError(f"{m.source}: {key}: has no effect on kind {m.kind!r}; take it out of problem.toml")
         return m
+    m = of_tool(m, robot, inverted, camera)
+    if "corners" in m.extra:
+        camera = "in hand" if m.inverted else "to base"
+    return _synchronised(replace(m, camera=camera or _camera_of(m, robot)), robot)
+
+
+def of_tool(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
+    """Return poses of the tool in the measuring frame, inverted where the table has their inverse.
+
+    Arguments are as of `as_poses`; without orientations all is unchanged.
+    """
+    if m.position is None or m.orientation is None:
+        return m
     if "corners" in m.extra and camera and inverted is None:
         inverted = camera == "in hand"  # what was seen is the target in the camera
     # With fewer poses it is not judged whether they are inverted.
@@ -153,10 +80,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
         inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
         undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
         inverted = camera == "in hand" if undecided and camera else inverted
-    m = m.inverse() if inverted else m
-    if "corners" in m.extra:
-        camera = "in hand" if m.inverted else "to base"
-    return _synchronised(replace(m, camera=camera or _camera_of(m, robot)), robot)
+    return m.inverse() if inverted else m
 
 
 def _synchronised(m: Measurements, robot: Robot) -> Measurements:
@@ -240,158 +164,6 @@ def _camera_of(m: Measurements, robot: Robot) -> Camera:
     if likely[best][0] > likely[other][0] + 5 and depth > lateral and off[best] < np.deg2rad(60.0):
         return best  # by chance with a probability below 1 %
     return by_angle if by_angle == best else ""
-
-
-def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
-    """Return the meaning of columns with the questions answered by the nominal robot, if it can.
-
-    Every interpretation of the table, which is one choice of each question, is judged by its error:
-    that of the robot, its frames placed to fit. A choice is taken where the error is small and that
-    of all interpretations with another choice at least MIN_ERROR_RATIO_TO_OTHERS times as large.
-    Where not, the choices of questions with a topic are ordered, the best fit first.
-
-    given : casadical's column name -> declared source; found : meaning with the open questions
-    """
-    questions = found.questions
-    if not questions or math.prod(len(q.choices) for q in questions) > 2000:
-        return found
-    errors: dict[tuple[str, ...], tuple[float, float]] = {}
-    readings: dict[tuple[str, ...], Measurements] = {}
-    copied: set[tuple[str, ...]] = set()
-    for choices in product(*(q.choices for q in questions)):
-        tried = found
-        for question, choice in zip(questions, choices, strict=True):
-            tried = tried.answered(question, choice)
-        sources = {**tried.sources, **given}
-        if len({s.name for s in sources.values()}) < len(sources):  # no column has two meanings
-            continue
-        with suppress(InputError, np.linalg.LinAlgError):
-            m = _measurements_of(raw, robot, sources)
-            if m.position is not None and len(m) >= 6:  # 18 numbers for the 9 unknown ones of base and tool
-                turn = 0.0 if m.orientation is None else _orientation_error(robot, m)
-                errors[choices], readings[choices] = (placed_by(robot, m)[1], turn), m
-                copied |= {choices} if computed(robot, m, rounded=True) else set()
-    answers: dict[str, tuple[str, str]] = {}
-    order = sorted(errors, key=lambda c: _total(robot, errors[c]))
-    if 0 < len(errors) <= MAX_CHOICES_WITH_SLIPS and _total(robot, errors[order[0]]) > MAX_ORIENTATION_ERROR_RAD:
-        errors |= {choices: error for choices, m in readings.items() if (error := _error_without_slips(robot, m))}
-        order = sorted(errors, key=lambda c: _total(robot, errors[c]))
-    for k, question in enumerate(questions):
-        lengths = [c for c in question.choices if len(question.choices[c]) == 1]
-        if question.about == "observation" and lengths and copied:
-            answers[question.text] = lengths[0], "the coordinates are computed, as the nominal robot has them"
-            continue
-        # Coordinates that a controller computed fit best, but were not measured.
-        if question.about == "observation" and len({c[k] for c in errors}) > len({c[k] for c in copied}):
-            order = [c for c in order if c[k] not in {c[k] for c in copied}]
-        if not order:
-            continue
-        best, others = order[0], [c for c in order if c[k] != order[0][k]]
-        if len(errors) < len(question.choices) and not others and len(question.choices) > 1:
-            continue
-        least, second = (_total(robot, errors[c]) if c else np.inf for c in (best, others[0] if others else None))
-        bound = MAX_ORIENTATION_ERROR_RAD if others or question.about == "layout" else 0.02
-        if least < bound and MIN_ERROR_RATIO_TO_OTHERS * least < second:
-            answers[question.text] = (
-                best[k],
-                _why(
-                    "comparison: " if question.about == "layout" else f"{best[k]}: ",
-                    errors[best],
-                    errors[others[0]] if others else None,
-                ),
-            )
-    for question in questions:
-        if question.text in answers:
-            found = found.answered(question, *answers[question.text])
-    if not order:
-        return found
-    asked = []
-    for question in found.questions:
-        k = questions.index(question)
-        ranked = dict.fromkeys([*(c[k] for c in order), *question.choices])
-        # A layout has too many choices to be asked: the best are.
-        some = [*ranked][: 5 if question.about == "layout" else None]
-        asked.append(replace(question, choices={c: question.choices[c] for c in some}) if question.about else question)
-    return replace(found, questions=tuple(asked))
-
-
-def _error_without_slips(robot: Robot, m: Measurements) -> tuple[float, float] | None:
-    """Return median errors [m, rad] with the slips that explain m undone; None without such."""
-    from casadical.project.check.slips import search_slips
-
-    found = search_slips(robot, m)
-    return (found.best.error, found.best.turn) if found and found.explains else None
-
-
-def _total(robot: Robot, error: tuple[float, float]) -> float:
-    """Return the position error divided by the reach, plus the orientation error, dimensionless.
-
-    error : median error of positions [m] and of orientations [rad]
-    """
-    return error[0] / robot.reach + error[1]
-
-
-def _why(choice: str, error: tuple[float, float], other: tuple[float, float] | None) -> str:
-    """Return why a choice is taken, by errors [m, rad] of the best and next interpretation.
-
-    choice : beginning of the text
-    """
-    turned = error[1] and other is not None and other[1]
-    unit, k, factor = ("deg", 1, 180 / np.pi) if turned else ("mm", 0, 1e3)
-    rest = f", else {factor * other[k]:.2g}" if other else ""
-    off = factor * error[k]
-    return f"{choice}{off if off > 1e-6 else 0:.2g} {unit} from the robot{rest}"
-
-
-def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
-    """Return the measurements of a table's complete rows, read with these column sources.
-
-    sources : casadical's column name -> its source
-    """
-    columns = with_coupled(Columns.of_file(raw).mapped(sources), robot)
-    return as_poses(from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints]), robot)
-
-
-def _orientation_error(robot: Robot, m: Measurements) -> float:
-    """Return the median orientation error [rad] of the nominal robot, its tool rotated to fit."""
-    return orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
-
-
-def computed(robot: Robot, m: Measurements, rounded: bool = False) -> bool:
-    """Return whether positions equal the nominal robot's within rounding, so are not measured.
-
-    Base and tool may differ. False for fewer than six poses.
-
-    rounded : whether the rounding of the readings counts, too, by which the positions of a robot
-        that was measured coarsely may agree by chance
-    """
-    if m.position is None or len(m) < 6:
-        return False
-    digits = next((k for k in range(3, 9) if np.abs(m.position - m.position.round(k)).max() < 1e-12), 9)
-    # Positions that agree with the nominal model within this [m], or within their last digit, were
-    # computed by a controller and not measured.
-    computed_position_tolerance = 2e-6
-    placed, error = placed_by(robot, m)
-    tolerance = max(computed_position_tolerance, 10.0**-digits)
-    if rounded:
-        steps = np.array([_last_digit(q) for q in m.q.T])
-        moved = replace(m, q=m.q + steps * np.random.default_rng(0).uniform(-0.5, 0.5, m.q.shape))
-        off = predicted(placed, moved)[0] - predicted(placed, m)[0]
-        # Both the logged readings and those that the frames are fitted to are rounded.
-        tolerance += 1.5 * float(np.median(np.linalg.norm(off, axis=1)))
-    return error < tolerance
-
-
-def _last_digit(q: Array) -> float:
-    """Return the unit of the last decimal [rad or m] of a joint's readings; 0 if none fits.
-
-    q : readings, shape (n,) [rad or m], written in deg, rad, mm or m
-    """
-    for digits in range(5):
-        for unit in (np.pi / 180, 1.0, 1e-3):
-            if np.abs(q / unit - (q / unit).round(digits)).max() < 1e-9:
-                return float(unit * 10.0**-digits)
-    return 0.0
 
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:

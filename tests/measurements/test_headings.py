@@ -8,7 +8,8 @@ import pytest
 
 from casadical import InputError, read_measurements
 from casadical.measurements.columns import Columns, Source
-from casadical.measurements.headings import understand, words_of
+from casadical.measurements.headings import words_of
+from casadical.measurements.proposals import understand
 from casadical.measurements.raw_table import read_table
 
 SIX = ["revolute"] * 6

@@ -21,7 +21,8 @@ from casadical.project.check.plausible import coverage, far_off, margin, repeats
 from casadical.project.check.slip_list import LENGTHS_MIRROR_WARNING, MIRROR_WARNING, error_in_mm, in_words
 from casadical.project.check.slips import Slips
 from casadical.project.problem import Problem
-from casadical.project.robot_columns import computed, some_rows, unfitted, unmeasured
+from casadical.project.recognition import computed
+from casadical.project.robot_columns import some_rows, unfitted, unmeasured
 from casadical.project.targets import Targets, WrongNames
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot

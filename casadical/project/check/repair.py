@@ -22,7 +22,7 @@ from casadical.project.check.slip_fit import Fit
 from casadical.project.check.slip_list import MIRROR_WARNING, error_in_mm, meant_length, other_lengths
 from casadical.project.problem import read_problem, read_problem_robot
 from casadical.project.problem_file import UrdfTable, as_toml, robot_of_file
-from casadical.project.robot_columns import understood
+from casadical.project.recognition import understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import readings_table, robot_from
 from casadical.robot.urdf import read_urdf

@@ -38,7 +38,8 @@ from casadical.project.live.view import MIN_READINGS_FOR_QUANTILE, with_words
 from casadical.project.planning import poses_ahead
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
-from casadical.project.robot_columns import refuse_nameless, understood, with_target_positions
+from casadical.project.recognition import understood
+from casadical.project.robot_columns import refuse_nameless, with_target_positions
 
 # Name of the table of all readings in the problem folder; it is rewritten from the journal.
 TABLE_FILE = "measured.csv"

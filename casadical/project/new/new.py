@@ -24,10 +24,10 @@ from casadical.measurements.arrangement import joined, long, with_headings
 from casadical.measurements.camera_noise import Camera
 from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.corners import INTRINSICS
-from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.logs.systems import is_bag, stations_of_bag
 from casadical.measurements.measurements import Measurements
+from casadical.measurements.proposals import Question, Understanding
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
 from casadical.pose_selection import Workspace
@@ -36,7 +36,8 @@ from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import as_poses, computed, placed_by, poses_in_words, understood, with_coupled
+from casadical.project.recognition import computed, understood
+from casadical.project.robot_columns import as_poses, placed_by, poses_in_words, with_coupled
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
@@ -371,6 +372,11 @@ def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
             rows.append((name, name, "", _cell(frame[name].iloc[0]), "from its name"))
         elif name:
             unused.append(name)
+    # The entries of a rotation matrix are one row of the table.
+    entries = [row for row in rows if re.fullmatch("R[012]{2}", row[0])]
+    if entries:
+        names = f"{entries[0][1]} to {entries[-1][1]}"
+        rows = [*(row for row in rows if row not in entries), ("R00 to R22", names, "", *entries[0][3:])]
     title = f"{raw.path.name}: {raw.form.words}{f'; kind {kind.name}' if kind else ''}"
     table = Table(title, ("casadical", "file", "unit", "first row", "known"), rows)
     return [table, *([Words(f"Not used: {', '.join(unused)}.", "note")] if unused else [])]

@@ -21,7 +21,7 @@ from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
-from casadical.project.problem import read_campaign, read_problem
+from casadical.project.problem import read_campaign, read_campaign_robot, read_problem
 
 ROWS = 30
 
@@ -389,6 +389,57 @@ def test_a_direction_of_approach_may_be_a_sign(heading: str, cells: list[object]
     READINGS.join(SEEN).assign(**{heading: cells * (ROWS // 2)}).to_csv(tmp_path / "table.csv", index=False)
     (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv").whole
     np.testing.assert_array_equal(m.conditions["approach1"], [1, -1] * (ROWS // 2))
+
+
+def columns(*names: str, also: np.ndarray | None = None, joints: list[str] = J) -> pd.DataFrame:
+    """A table of readings [deg] and positions [mm], with more columns behind them."""
+    seen = P if also is None else np.hstack([P, also])
+    return pd.DataFrame(np.hstack([Q, seen])[:FEW], columns=[*joints, *names])
+
+
+# Rows that are enough for the robot to decide, and too few to look for a camera, which takes seconds.
+FEW = 11
+RPY = Rotation.from_matrix(R).as_euler("xyz", degrees=True)
+PARTNERS: dict[str, str] = {
+    "phix1 beside x1": columns("x1", "y1", "z1", "phix1", "phiy1", "phiz1", also=RPY).to_csv(),
+    "phix1 beside x1, phix2 beside x2": columns(
+        *each("{1}{0}", "1"),
+        *each("phi{1}{0}", "1"),
+        *each("{1}{0}", "2"),
+        *each("phi{1}{0}", "2"),
+        also=np.hstack([RPY, OTHERS[0], RPY]),
+    )[: FEW // 2].to_csv(index=False),
+    "a rounded copy": columns("X_meas", "Y_meas", "Z_meas", "X", "Y", "Z", also=P.round(1)).to_csv(index=False),
+    "formulas of a workbook": re.sub(r"(?<=[,\n])([-\d.]+)", r'="\1"', columns(*"xyz").to_csv(index=False)),
+    "a printed frame": columns(*"xyz").to_string(),
+    "rows with names that have no heading": columns(*"xyz").to_csv(sep=" ").removeprefix('""').lstrip(),
+    "tracker_0": columns(*(f"tracker_{k}" for k in range(3)), joints=[f"actual_q_{k}" for k in range(6)]).to_csv(
+        index=False
+    ),
+    "other numbers behind them, without headings": columns(
+        *"xyzabc", also=np.random.default_rng(0).uniform(0, 1, (ROWS, 3))
+    ).to_csv(index=False, header=False),
+    "positions and angles first, without headings": "\n".join(
+        bare(P / 1e3, np.deg2rad(RPY), np.deg2rad(Q)).splitlines()[:FEW]
+    ),
+}
+
+
+@pytest.mark.parametrize("form", PARTNERS)
+def test_a_partner_of_a_form_is_read_as_it_was_measured(form: str, tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    (tmp_path / "robot.toml").write_text(robot_text(tmp_path / "dh.csv", "arm", "modified"))
+    (tmp_path / "table.csv").write_text(PARTNERS[form])
+    robot = read_campaign_robot(tmp_path / "robot.toml")
+    m = read_campaign(tmp_path / "robot.toml", tmp_path / "table.csv", robot, later=True)
+    m = m[::2] if "x2" in form else m
+    assert len(m) == (FEW // 2 if "x2" in form else FEW)
+    np.testing.assert_allclose(np.rad2deg(m.q), Q[: len(m)], atol=1e-4)
+    assert m.position is not None
+    np.testing.assert_allclose(1e3 * m.position, P[: len(m)], atol=1e-3)
+    assert (m.orientation is not None) == ("phix1" in form or "angles" in form)
+    if m.orientation is not None:
+        np.testing.assert_allclose(m.orientation, R[: len(m)], atol=1e-5)
 
 
 def test_numbered_columns_of_other_words_are_no_angles_of_the_tool(tmp_path: Path) -> None:
