@@ -6,6 +6,9 @@ from pathlib import Path
 import pytest
 from command_line import ROOT, run
 
+from casadical import InputError
+from casadical.cli.outputs import _refuse_unusable
+
 ARM = "problems/hh800/robot.toml"
 TABLE = "data/campaigns/practice/ur10e-P03.csv"
 # Command lines in a folder that has problems/ and data/, and what is said.
@@ -94,3 +97,11 @@ def test_a_mistake_ends_in_a_message_and_2(command: str, words: str, folder: Pat
     assert words in said
     assert "Traceback" not in said
     assert {path.name for path in folder.iterdir()} == {"problems", "data"}
+
+
+def test_a_device_is_no_input() -> None:
+    for given in ("/dev/zero", ["plain.csv", "/dev/zero"]):
+        paths = [Path(one) for one in given] if isinstance(given, list) else Path(given)
+        with pytest.raises(InputError, match="/dev/zero: is a device; name a file"):
+            _refuse_unusable({"data": paths}, ())
+        _refuse_unusable({"data": paths}, ("data",))

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, Noise
 from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
 from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noisy_joint, unequal_form
 from casadical.diagnosis.settings import SETTINGS
+from casadical.diagnosis.structure import _WhitenedResidual
 from casadical.diagnosis.text import as_json, page_of
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
@@ -243,3 +245,11 @@ def test_readings_that_lag_by_one_random_size_a_stop_are_noise_along_the_last_mo
     assert np.linalg.norm(at_true_angles - p, axis=1).mean() < 3e-5
     for text in said:
         assert float(re.search(r"it, ([\d.]+) mrad per rad", text)[1]) == pytest.approx(1e3 * lag, rel=0.2)  # type: ignore[index]
+
+
+@pytest.mark.parametrize(("stretch", "isotropic"), [(1.0, True), (2.0, False)])
+def test_residuals_that_are_greater_along_one_axis_are_not_isotropic(stretch: float, isotropic: bool) -> None:
+    rng = np.random.default_rng(0)
+    y, frames = rng.normal(size=(300, 3)) * [1.0, 1.0, stretch], {"x, y, z": np.tile(np.eye(3), (300, 1, 1))}
+    residual = SimpleNamespace(squares=y**2, y=y, _frames=frames, _form=SimpleNamespace(ar_coefficient=0.0))
+    assert _WhitenedResidual._isotropic(residual) is isotropic

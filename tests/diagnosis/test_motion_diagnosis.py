@@ -520,3 +520,13 @@ def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
     for torque, named in ((1.0, ["lag@1", "spring@3"]), (None, [])):
         view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
         assert [f.label for f in LogDiagnosis(None, view, outcome, ()).named] == named
+
+
+@pytest.mark.parametrize(("unit", "factor", "word"), [("", 1e3, "mrad"), ("A", 1.0, "A")])
+def test_residuals_of_joints_are_told_in_their_unit(unit: str, factor: float, word: str) -> None:
+    gap, log, arm = [np.array([k * 1e-3]) for k in (4, 3, 2)], SimpleNamespace(joints=("a",)), SimpleNamespace(joints=1)
+    one = SimpleNamespace(gap=lambda: gap, held_out_gap=lambda: (gap[0], np.array([1e-3])), unit=(unit, ""), log=log)
+    one.arm, one._where = arm, lambda j: "-"
+    table = LogDiagnosis._gap_table(one)
+    assert f"rms [{word}]" in table.title
+    assert table.rows == [("a", *(f"{factor * v * 1e-3:.3g}" for v in (4, 3, 2, 1)), "-")]

@@ -24,6 +24,7 @@ from casadical.fleet.evidence import (
     RELATIVE_FREQUENCY,
     Candidate,
     SharedInformation,
+    _usual_size,
     candidates_of,
     jumps,
     log_evidence,
@@ -479,6 +480,12 @@ def test_a_drift_of_a_zero_is_no_crash() -> None:
     assert "wear" in drift.words
     units = [_per(SimpleNamespace(campaigns=[SimpleNamespace(day=day)]), drift) for day in (None, 1)]
     assert units == [" in 12 campaigns", " a year"]
+
+
+def test_a_spring_usually_changes_by_a_third_of_itself_or_a_tenth_of_what_is_unknown() -> None:
+    for value, prior, size in ((-2e-6, 1e-6, 6e-7), (0.0, 1e-6, 1e-7)):
+        p = SimpleNamespace(group="compliance", value=value, prior=prior)
+        assert _usual_size("joint_stiffness", p) == pytest.approx(size)
 
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:

@@ -12,6 +12,7 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.misfit import misfit_of
 from casadical.identification.sessions import undetermined
+from casadical.measurements.kinds.registry import find_kind
 
 FREE = ["kinematic"]
 NORMALS = np.array([[0.0, 0.1, 1.0], [1.0, 0.1, 0.2], [0.1, -1.0, 0.1]])
@@ -123,3 +124,10 @@ def test_places_of_wires_in_one_table_are_found_by_their_names() -> None:
     apart = [np.linalg.norm(where[i] - where[j]) for i, j in ((0, 1), (1, 2), (0, 2))]
     assert apart == pytest.approx([np.linalg.norm(far[i] - far[j]) for i, j in ((0, 1), (1, 2), (0, 2))], abs=2e-3)
     assert np.abs(length_errors(found)).max() < 4
+
+
+def test_a_radius_in_another_unit_is_told() -> None:
+    sphere = find_kind("sphere")
+    said = [sphere.unit_fault({"distance": np.array([0.02, r])}, np.zeros((2, 3)), None, 0.9) for r in (0.03, 30.0)]
+    assert said[0] == ""
+    assert said[1].startswith("a radius of 30 m does not fit the robot, which reaches 0.9 m")

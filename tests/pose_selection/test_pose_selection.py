@@ -1,5 +1,6 @@
 """Selections: what they promise against identifications, their circumstances, and their order."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from arms import elbow, planar, positions, readings
 import casadical
 from casadical import InputError, Joint, Robot, identify
 from casadical.core.linear_gaussian.noise import whitening_of
+from casadical.core.reporting.result import plain_text
 from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.effects.instrument import Session
 from casadical.identification.accuracy import errors
@@ -27,6 +29,7 @@ from casadical.pose_selection.candidates import (
     timeline,
 )
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
+from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import Forecast, select_poses
 from casadical.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
 from casadical.pose_selection.workspace import read_workspace
@@ -168,6 +171,12 @@ def test_later_poses_have_the_campaigns_values_or_none() -> None:
     rng, warm = np.random.default_rng(0), np.zeros(50, dtype=bool)
     assert set(_later_column("humidity", np.array([1.0, 3.0]), warm, np.zeros(1), rng)) == {1.0, 3.0}
     assert not _later_column("humidity", None, warm, np.zeros(1), rng).any()
+
+
+def test_six_numbers_of_poses_are_shown_from_the_first_to_the_last() -> None:
+    poses = np.arange(10, 41)
+    text = plain_text(MeasurementPlan(Forecast(poses, 1e-3 / np.sqrt(poses))).blocks())
+    assert re.findall(r"(\d+): 0\.\d{4}", text) == ["10", "16", "22", "28", "34", "40"]
 
 
 def test_a_column_that_cannot_be_planned_is_named(robot) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from casadical.core.basics import CasadicalError, InputError
 from casadical.export import load, write_c
-from casadical.export.c.kernel import Manifest
+from casadical.export.c.kernel import Manifest, compilers
 from casadical.export.c.products import Command, Limits, NetworkFunction
 
 AT_LOAD = "__attribute__((constructor)) static void at_load(void)"
@@ -145,6 +145,12 @@ def test_own_exports_are_loaded_when_they_were_moved_and_not_when_they_were_chan
         load(tmp_path / "moved")
     with pytest.raises(InputError, match=r"no manifest\.json"):
         load(tmp_path)
+
+
+def test_one_compiler_is_enough(folder, monkeypatch):
+    found = compilers()[:1]
+    monkeypatch.setattr("casadical.export.c.kernel.compilers", lambda: found)
+    assert load(folder).network(np.zeros((1, 6)))[1].tolist() == [0]
 
 
 def test_foreign_code_does_not_run_without_consent(folder, tmp_path):

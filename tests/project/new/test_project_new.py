@@ -3,6 +3,7 @@
 import json
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import first_hour
 import numpy as np
@@ -10,6 +11,7 @@ import pandas as pd
 import pytest
 from command_line import run
 
+from casadical.cli.new import _ask
 from casadical.core.basics import InputError
 from casadical.identification.identification import identify
 from casadical.project.check.check import precheck
@@ -191,3 +193,10 @@ def test_bad_input_is_refused_and_nothing_is_written(name: str, tmp_path: Path) 
     with pytest.raises(InputError, match=words):
         new_problem(tmp_path / "new", **paths)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_question_lists_its_choices_by_number(monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    answers = iter([3, 2])
+    monkeypatch.setattr("casadical.cli.new.prompt", lambda *_, **__: next(answers))
+    assert _ask(SimpleNamespace(text="Which?", choices={"first": [], "second": []})) == "second"
+    assert capsys.readouterr().err == "  1: first\n  2: second\n"
