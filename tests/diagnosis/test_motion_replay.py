@@ -164,23 +164,6 @@ def test_droop_stiction_and_lag_are_no_stop(arm):
 
 
 @pytest.mark.slow
-def test_torque_is_replayed_too_where_it_was_logged(arm):
-    """The torque of the servo, by the true gain, of a run that was not fitted; without it none is told."""
-
-    def with_torque(log):
-        late = np.column_stack([np.interp(log.time - LATE, log.time, c) for c in log.command.T])
-        return replace(log, torque=GAIN * (late - log.position))
-
-    log = moved(arm, 3)
-    found = replayed(arm, [with_torque(moved(arm, 1))], [with_torque(log)])
-    before, after = found.torque
-    assert (after < 0.35 * before).all()
-    assert found.to_json()["torque_Nm"] == [before.tolist(), after.tolist()]
-    assert "Torque in the same replay" in plain_text(found.blocks(), 120)
-    assert replayed(arm, [moved(arm, 1)], [log]).torque is None
-
-
-@pytest.mark.slow
 def test_runs_are_withheld_in_turn_where_none_are_kept_apart(arm):
     found = replayed(arm, [moved(arm, seed, 12.0) for seed in (4, 5)])
     assert found.held_out

@@ -25,7 +25,6 @@ REMOVALS: Mapping[str, Callable[[Response], Response]] = {
     "surface": lambda r: replace(r, floor=None),
     "stops": lambda r: replace(r, stops=()),
 }
-SHORT_NAMES = {"dry friction": "friction", "damping": "9/10 damping"}  # in the table
 # The sentence names the effects and joints that together have this fraction of all costs.
 NAMED_SHARE = 0.8
 # An effect counts as having no cost if its removal raises the mean square error, summed over the
@@ -90,9 +89,10 @@ class EffectTable:
 
     def table(self) -> Table:
         """Return the rms errors by joint (column): with no effect, without each one, with all."""
+        short = {"dry friction": "friction", "damping": "9/10 damping"}
         rows = {
             "everything": self.before,
-            **{SHORT_NAMES.get(name, name): rms for name, rms in self.without.items()},
+            **{short.get(name, name): rms for name, rms in self.without.items()},
             "(in sum)": self.sum_of_parts,
             "nothing": self.full,
         }

@@ -37,10 +37,9 @@ MIN_EVIDENCE = 30.0  # smallest log evidence [nats] with which a cause enters th
 # the base.
 DOUBTFUL_CAUSES = frozenset(["play", "link_mass", "torque_constant"])
 MIN_FIT_EVIDENCE = 50.0  # smallest log evidence [nats] of a cause that fits
-# The same of causes that small errors of the base resemble: on healthy simulated logs lags had up
-# to 52.
-MIN_BASE_LIKE_EVIDENCE = 80.0
-BASE_LIKE_CAUSES = frozenset(["lag", "transport_delay", "warm_up"])
+# The same [nats] of causes that small errors of the base resemble (of lags on healthy simulated
+# logs it was up to 52).
+MIN_EVIDENCE_BY_CAUSE = dict.fromkeys(("lag", "transport_delay", "warm_up"), 80.0)
 # Smallest log evidence [nats] of a further cause that fits (an earlier one whose formula is inexact
 # leaves a part of its effect), and of the first cause where no torque was logged.
 MIN_FURTHER_EVIDENCE = 60.0
@@ -284,12 +283,11 @@ class Found:
     def fits(self) -> bool:
         """Return whether it fits: listed, not doubtful or usual, with enough evidence and probability."""
         name = self.label.partition("@")[0]
-        least = MIN_BASE_LIKE_EVIDENCE if name in BASE_LIKE_CAUSES else MIN_FIT_EVIDENCE
         return (
             self.listed
             and name not in DOUBTFUL_CAUSES
             and not self.usual
-            and self.gain >= max(least, self.rival)
+            and self.gain >= max(MIN_EVIDENCE_BY_CAUSE.get(name, MIN_FIT_EVIDENCE), self.rival)
             and self.probability >= MIN_FIT_PROBABILITY
         )
 

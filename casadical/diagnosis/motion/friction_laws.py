@@ -46,7 +46,7 @@ MODELS: Mapping[str, str] = {
     "and friction that grows with load": "constant rotor dry viscous curved mean",
 }
 # Columns of each effect of the effect table.
-EFFECTS: Mapping[str, str] = {
+EFFECT_COLUMNS: Mapping[str, str] = {
     "dry friction": "dry",
     "viscous friction": "viscous curved",
     "load friction": "mean",
@@ -247,7 +247,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     total_evidence = float(np.logaddexp.reduce(list(evidence.values())))
     probability = {law: float(np.exp(e - total_evidence)) for law, e in evidence.items()}
     misfit = {law: float((counts.sum(axis=0) * (rms / sigma) ** 2).sum()) for law, rms in laws.items()}
-    costs = {name: held_out(columns, sigma, at(text)[0]) for name, text in EFFECTS.items()}
+    costs = {name: held_out(columns, sigma, at(text)[0]) for name, text in EFFECT_COLUMNS.items()}
     full, before = held_out(columns, sigma), np.sqrt(((logged * moves) ** 2).sum(axis=0) / total)
     effects = EffectTable(log.joints[:n], before, full, costs, "Torque of held-out thirds", "N m", 1.0)
     return FrictionLaws(log.joints[:n], models, laws, probability, misfit, effects)

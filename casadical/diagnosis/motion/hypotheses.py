@@ -17,8 +17,6 @@ from casadical.effects.settings import grid_points
 
 # Causes that only a comparison with a healthy log (reference) of the same arm can show.
 FRICTION_CAUSES = ("coulomb_friction", "viscous_friction", "load_friction")
-MAX_PLATEAUS = 8  # number of the longest plateaus of a joint's torque that saturation may explain
-PLATEAU_ERROR_RAD = 0.01  # typical position error at the end of a plateau [rad]
 # Causes on no list that keep a listed one from being named where they fit better.
 NAMED_RIVALS = ("gain_switching", "integrator_windup", "bump")
 # Name of dry and of viscous friction among a cause's variables -> kinds of the base's torque columns.
@@ -63,7 +61,7 @@ def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffe
 def _plateaus(view: LogView) -> Iterator[tuple[Candidate, list[Signals]]]:
     """Yield saturation of each joint by the plateaus of its torque, in which its position error is free.
 
-    In each of the longest plateaus the error is a parabola in time.
+    In each of the eight longest plateaus the error is a parabola in time, of typically 10 mrad.
     """
     m, kind = view.motion, motion_effects()["saturation"]
     assert m.torque is not None
@@ -74,10 +72,10 @@ def _plateaus(view: LogView) -> Iterator[tuple[Candidate, list[Signals]]]:
         ends = np.append(edges[1:], len(at))
         plateaus = sorted((a - b, a, b) for a, b in zip(edges.tolist(), ends.tolist(), strict=True) if at[a])
         signals: list[Signals] = []
-        for _, a, b in plateaus[:MAX_PLATEAUS]:
+        for _, a, b in plateaus[:8]:
             for power in range(3):
                 column = np.zeros(len(at))
-                column[a:b] = PLATEAU_ERROR_RAD * np.linspace(0, 1, b - a) ** power
+                column[a:b] = 0.01 * np.linspace(0, 1, b - a) ** power
                 signals.append({("position", j): column})
         if signals:
             yield Candidate(f"saturation@{j + 1}", "saturation", j + 1, ((kind(j + 1),),)), signals

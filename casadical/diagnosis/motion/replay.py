@@ -61,7 +61,6 @@ class Replay(Result):
                 for name, b, a in zip(replay.runs[0].joints, replay.before, replay.after, strict=True)
             ],
         ),
-        Key("torque_Nm", "torque"),
         Key("effects", lambda replay: {k: [*map(float, rms)] for k, rms in replay.effects.without.items()}),
         Key("summary", "effects.sentence"),
         Key("friction_law", lambda replay: replay.friction_laws.plain["laws"] if replay.friction_laws else {}),
@@ -87,21 +86,6 @@ class Replay(Result):
         return self._rms(self.predicted)
 
     @cached_property
-    def torque(self) -> tuple[Array, Array] | None:
-        """Return the rms torque errors of each joint before and after, shape (joints,) each [N m].
-
-        Before is logged torque minus that of the bodies along the commands, after is logged minus
-        replayed torque. None without torque and without current with a declared torque constant.
-        """
-        logged = [torque_of(run, arm_of(self.response.dynamics.given)) for run in self.runs]
-        if self.response.torque_terms is None or any(each is None for each in logged):
-            return None
-        made = [self.response.torques(run, q) for run, q in zip(self.runs, self.predicted, strict=True)]
-        residual = [[a - b for a, b in zip(logged, each, strict=True)] for each in zip(*made, strict=True)]
-        before, after = (np.sqrt(np.nanmean(np.concatenate(each) ** 2, axis=0)) for each in residual)
-        return np.asarray(before), np.asarray(after)
-
-    @cached_property
     def effects(self) -> EffectTable:
         """Return the rms errors of replays with one effect removed at a time."""
         return effect_table(self.runs, self.predicted, self.responses, self.before)
@@ -112,8 +96,10 @@ class Replay(Result):
 
         None where a torque was logged, from which the diagnosis of the logs has them.
         """
-        arm = arm_of(self.response.robot())
-        return None if self.torque else friction_laws(joined(self.runs), arm, self.response.floor)
+        log, arm = joined(self.runs), arm_of(self.response.robot())
+        known = log.torque is not None or arm.per_ampere is not None
+        logged = known and torque_of(log, arm) is not None
+        return None if logged else friction_laws(log, arm, self.response.floor)
 
     @cached_property
     def moves(self) -> Array:
@@ -199,24 +185,18 @@ class Replay(Result):
         return [(self.runs[0].joints[j], 1e3 * float(angle[j])) for j in far if angle[j] >= angle.max() / 2]
 
     def _tables(self) -> Iterator[Table]:
-        """Yield the report's tables, those of torque, friction laws and files where they exist.
+        """Yield the report's tables, those of friction laws and files where they exist.
 
         The others are of errors without one effect at a time, of position, and of the response.
         """
         joints, r = self.runs[0].joints, self.response
-        angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
-        torques = (
-            "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and replayed with friction"
-        )
         yield self.effects.table()
-        compared = ((angles, 1e3, (self.before, self.after)), (torques, 1.0, self.torque))
-        for title, factor, errors in compared:
-            if errors:
-                rows = [
-                    (name, f"{factor * b:.3g}", f"{factor * a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
-                    for name, b, a in zip(joints, *errors, strict=True)
-                ]
-                yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
+        angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
+        rows = [
+            (name, f"{1e3 * b:.3g}", f"{1e3 * a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
+            for name, b, a in zip(joints, self.before, self.after, strict=True)
+        ]
+        yield Table(angles, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
         drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
         if self.friction_laws:

@@ -33,7 +33,6 @@ from casadical.diagnosis.motion.signals import (
     delayed,
     resampled,
     smoothed,
-    smoothing_kernel,
     torque_of,
 )
 from casadical.measurements.logs.log import JointLog
@@ -75,8 +74,6 @@ MIN_SERVO_CORRELATION = 0.95
 # Candidate delays of the command [s], of which that with the largest correlation of torque and
 # position error is used.
 TRIED_DELAYS_S = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
-SLIDING_SPEED_RAD_S = 0.01  # scale of the speed in the smoothed sign of dry friction, tanh [rad/s]
-MIN_TORQUE_ROWS = 20  # smallest number of rows of a run from which torque terms are fitted
 MIN_NOISE_RAD = 5e-4  # added to the estimated standard deviation of a joint's residual [rad]
 MIN_ROTOR_SHARE = 0.05  # smallest rotor inertia, divided by the joint's inertia
 # Number of parameters of each joint: logarithm of the compliance, offset, logarithms of friction,
@@ -107,9 +104,6 @@ class Response:
     damping : viscous damping [N m s/rad]; delay : delay of the command [s]
     inertia : inertia of the joint, rotor included [kg m^2]; fitted : sources of the logs
     moved : mask of the joints that moved in them; the others have the priors' typical response
-    torque_terms : coefficients, shape (joints, 4), of logged torques beyond the bodies': dry
-        friction [N m], viscous friction [N m s/rad], rotor [kg m^2], constant [N m]; None without
-        a logged torque
     floor : surface on which the tool came to rest, or None
     gravity : whether gravity loads the joints
     log_values : natural logarithms of gain, friction / gain, damping / gain, inertia / gain and
@@ -128,7 +122,6 @@ class Response:
     delay: Array
     fitted: tuple[str, ...]
     moved: Array
-    torque_terms: Array | None = None
     floor: Floor | None = None
     gravity: bool = True
     log_values: Array | None = None
@@ -162,19 +155,6 @@ class Response:
             t = run.time[0] + piece.step * np.arange(len(q))
             out.append(np.column_stack([np.interp(run.time, t, column) for column in q.T]))
         return np.concatenate(out)
-
-    def torques(self, run: JointLog, position: Array) -> tuple[Array, Array]:
-        """Return the drives' torques in a run, along its command and along its replay [N m].
-
-        Both have shape (rows, joints). The first are those of the bodies alone; the second include
-        friction, rotor inertia and constant torque (`torque_terms`).
-        position : angles of the replay, shape (rows, joints) [rad]
-        """
-        assert self.torque_terms is not None
-        assert run.command is not None
-        bodies, _ = bodies_and_terms(self.dynamics, run, run.command)
-        moved, terms = bodies_and_terms(self.dynamics, run, position)
-        return bodies, moved + (terms * self.torque_terms).sum(axis=2)
 
     def friction_of(self, run: JointLog) -> tuple[Array, Array]:
         """Return speed [rad/s] and friction torque [N m] in a run, from the servo's equation.
@@ -441,8 +421,8 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
         for p, r, own in zip(pieces, runs, stops, strict=True)
     ]
     responses = []
-    solutions = zip(_solved_with_floors(arm.dynamics, problems), problems, parts, pieces, runs, stops, strict=True)
-    for (x, covariance, floor), problem, logs, p, r, own in solutions:
+    solutions = zip(_solved_with_floors(arm.dynamics, problems), problems, parts, pieces, stops, strict=True)
+    for (x, covariance, floor), problem, logs, p, own in solutions:
         gain = np.exp(-x[:, 0])
         friction, lag, inertia, delay = np.exp(x[:, 2:]).T
         sources = tuple(log.source for log in logs)
@@ -457,7 +437,6 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
                 delay,
                 sources,
                 _moves(p),
-                _torque_terms_of(arm, r, floor),
                 floor,
                 True,
                 np.column_stack([-x[:, 0], x[:, 2:]]),
@@ -534,41 +513,6 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
         np.concatenate([p.width for p in problems]),
         limits if any(p.limits for p in problems) else None,
     )
-
-
-def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tuple[Array, Array]:
-    """Return the bodies' torque along a motion, and the variables of `Response.torque_terms`.
-
-    Shapes are (rows, joints) [N m] and (rows, joints, 4): smoothed sign of the speed, speed
-    [rad/s], acceleration [rad/s^2] and one.
-    position : angles at the times of the run, shape (rows, joints) [rad]
-    """
-    q = smoothed(position, smoothing_kernel(run.step))
-    v = np.gradient(q, run.time, axis=0)
-    a = np.gradient(v, run.time, axis=0)
-    return dynamics.torque(q, v, a), np.stack([np.tanh(v / SLIDING_SPEED_RAD_S), v, a, np.ones_like(v)], axis=2)
-
-
-def _torque_terms_of(arm: Arm, runs: Sequence[JointLog], floor: Floor | None) -> Array | None:
-    """Return `Response.torque_terms` by least squares, without samples in contact with the surface.
-
-    They have shape (joints, 4); None where a run has too few rows, or no torque in N m.
-    """
-    H, b = np.zeros((arm.joints, 4, 4)), np.zeros((arm.joints, 4))
-    for run in runs:
-        logged = torque_of(run, arm)
-        if logged is None or (run.torque is None and arm.per_ampere is None) or len(run) < MIN_TORQUE_ROWS:
-            return None
-        bodies, terms = bodies_and_terms(arm.dynamics, run, run.position)
-        usable = np.isfinite(logged - bodies)
-        if floor is not None:
-            usable &= (floor.above(np.nan_to_num(run.position)) > CONTACT_MARGIN_M)[:, None]
-        residual = np.where(usable, logged - bodies, 0.0)
-        H += np.einsum("tja,tjb->jab", terms * usable[..., None], terms)
-        b += np.einsum("tja,tj->ja", terms, residual)
-    # The small diagonal makes the terms of a joint without torque zero.
-    H += (1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] + 1e-30) * np.eye(4)
-    return np.asarray(np.linalg.solve(H, b[..., None])[..., 0])
 
 
 def _moves(pieces: Sequence[Piece]) -> Array:
