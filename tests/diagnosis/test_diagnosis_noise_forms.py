@@ -10,7 +10,9 @@ import pytest
 from cases import case, diagnose, robot, simulated
 from planted import misread, planted
 from scipy import stats
+from scipy.optimize import brentq
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import Array
@@ -247,9 +249,13 @@ def test_readings_that_lag_by_one_random_size_a_stop_are_noise_along_the_last_mo
         assert float(re.search(r"it, ([\d.]+) mrad per rad", text)[1]) == pytest.approx(1e3 * lag, rel=0.2)  # type: ignore[index]
 
 
-@pytest.mark.parametrize(("stretch", "isotropic"), [(1.0, True), (2.0, False)])
-def test_residuals_that_are_greater_along_one_axis_are_not_isotropic(stretch: float, isotropic: bool) -> None:
-    rng = np.random.default_rng(0)
-    y, frames = rng.normal(size=(300, 3)) * [1.0, 1.0, stretch], {"x, y, z": np.tile(np.eye(3), (300, 1, 1))}
+@pytest.mark.parametrize(("square", "isotropic"), [(0.0, True), (27.7, True), (28.0, False)])
+def test_isotropy_is_judged_by_mauchlys_test_at_a_ten_thousandth(square: float, isotropic: bool) -> None:
+    """Of 300 residuals whose covariance is exactly diag(1, 1, c); the statistic has six degrees of freedom."""
+    assert (chi2.sf(square, 6) > 1e-4) == isotropic
+    statistic = lambda c: (300 - 1 - 17 / 18) * np.log(((2 + c) / 3) ** 3 / c) - square  # noqa: E731
+    c = brentq(statistic, 1.0, 9.0) if square else 1.0
+    whole = np.sqrt(300) * np.linalg.qr(np.random.default_rng(0).normal(size=(300, 3)))[0]
+    y, frames = whole * [1.0, 1.0, np.sqrt(c)], {"x, y, z": np.tile(np.eye(3), (300, 1, 1))}
     residual = SimpleNamespace(squares=y**2, y=y, _frames=frames, _form=SimpleNamespace(ar_coefficient=0.0))
     assert _WhitenedResidual._isotropic(residual) is isotropic

@@ -138,6 +138,15 @@ def test_settings_of_a_backlash_that_are_not_given_are_among_those_that_are_trie
         assert low < getattr(Backlash(2), name) < high
 
 
+def test_two_joints_are_tried_each_alone_and_both_with_equal_settings() -> None:
+    variants = [*Backlash.variants(Robot("arm", (Joint(), Joint(a=0.5))))]
+    alone, both = ([each for each in variants if len(each) == count] for count in (1, 2))
+    assert len(variants) == len(alone) + len(both) == 3 * len(both) > 0
+    for one, other in both:
+        assert (one.joint, other.joint) == (1, 2)
+        assert replace(one, joint=2) == other
+
+
 def test_friction_finds_the_spring_that_another_effect_brings() -> None:
     soft, joint = robot("kr210"), 3
     stiff = replace(soft, joints=tuple(replace(j, compliance=None) for j in soft.joints))

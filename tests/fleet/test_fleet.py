@@ -247,7 +247,7 @@ def test_what_a_type_shares_is_the_same_in_any_order_of_parameters_and_whatever_
         rows_.append({
             **EMPTY_ROW, "type": "t", "type_name": "arm", "names": [names[i] for i in order], "score": b[order],
             "information": packed([H[np.ix_(order, order)]])[0], "spread": [1.0] * 3, "scale": [1e-3] * 3,
-            "identified": ["a1", "a2"] + ["d3"] * (k < 5),
+            "identified": ["a1", "a2"] + ["d3"] * (k < 6),
         })  # fmt: skip
     found = common_of(rows_)
     assert found.names == ("a1", "a2")

@@ -93,6 +93,8 @@ def test_a_test_by_iso_9283_is_part_of_it(results, tmp_path):
     found = certificate(results, details(tmp_path), problem=PLANAR)
     found = replace(found, iso9283=evaluated_table(tmp_path / "sheet.csv", read_robot(ROBOT)))
     _, second = found.pages()
+    budget = next(b for part in second.sections for b in part.blocks if isinstance(b, Table))
+    assert float(budget.rows[0][2]) == pytest.approx(1e6 * found.after.rms**2, rel=1e-3)
     (section,) = [part for part in second.sections if part.title == "ISO 9283:1998"]
     assert section.blocks[1].text.startswith("dAP = 0.200 mm, dRP = 0.100 mm. ")
 

@@ -11,7 +11,7 @@ import pytest
 
 from casadical import InputError, from_table, identify, read_problem
 from casadical.project.diagnosis import read_logs
-from casadical.project.problem import error_groups
+from casadical.project.problem import error_groups, read_campaign_robot
 from casadical.project.problem_file import CameraErrorsTable, DataTable, LogsTable
 from casadical.robot.robot_file import read_robot
 
@@ -158,3 +158,11 @@ def test_errors_are_told_of_tables_and_of_all_tables_of_one_kind() -> None:
     names = ["report/pose/a", "report/pose/b", "report/distance/c"]
     own = {name: [name] for name in names}
     assert error_groups(names) == {"report/pose": names[:2], "report/distance": names[2:], **own}
+
+
+def test_a_urdf_alone_is_the_robot_of_a_campaign(tmp_path: Path) -> None:
+    links = '<link name="a"/><link name="b"/>'
+    joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>'
+    limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    (tmp_path / "arm.urdf").write_text(f'<robot name="one">{links}{joint}{limit}</robot>')
+    assert read_campaign_robot(tmp_path / "arm.urdf").n == 1
