@@ -83,6 +83,7 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
     (chart,) = (b for s in found.page().sections for b in s.blocks if isinstance(b, Figure))
     for series in chart.series:
         assert (list(series.x), list(series.y)) == ([1, 2, 3], [row[4] / row[5] for row in found.rows()])
+    assert list(chart.series[1].colour) == ["blue", "blue", "red"]
     low, high = np.quantile(found.errors, [0.005, 0.995])
     assert low < np.hypot(error(read_robot(file), hit), NOISE * np.sqrt(3)) < high
     assert found.better

@@ -8,9 +8,10 @@ import pytest
 
 from casadical import InputError, read_measurements
 from casadical.measurements.columns import Columns, Source
-from casadical.measurements.headings import words_of
+from casadical.measurements.headings import _meaning, words_of
 from casadical.measurements.proposals import understand
 from casadical.measurements.raw_table import read_table
+from casadical.measurements.vocabulary import WORDS
 
 SIX = ["revolute"] * 6
 
@@ -158,3 +159,9 @@ def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
         read_table(tmp_path / "old.xls")
     with pytest.raises(InputError, match=r"broken\.xlsx: not a readable workbook"):
         read_table(tmp_path / "broken.xlsx")
+
+
+def test_a_heading_with_a_joints_name_leaves_the_words_that_mean_nothing() -> None:
+    for filler in sorted(WORDS["filler"] | WORDS["joint"]):
+        words = ["shoulder", "wibble", filler]
+        assert _meaning(words, {*words}, [(["shoulder"], "2")]) == ("joint", "2", {"by name", "wibble"})

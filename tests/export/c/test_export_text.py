@@ -10,6 +10,7 @@ import pytest
 from structured_text_in_c import Compiled, parsed
 
 from casadical.export import Status, load, write_c
+from casadical.export.c import reference
 from casadical.export.c.c_source import comparison_inputs
 from casadical.export.c.products import Command, NetworkFunction
 from casadical.export.c.reference import correct, network
@@ -139,3 +140,14 @@ def test_the_operations_of_a_network_are_counted(network):
     assert found.text() == (
         "Operations of network, the same in every call: 47 additions, 45 multiplications, 5 tansig."
     )
+
+
+@pytest.mark.parametrize("steps", [1, 3])
+def test_the_operations_of_a_correction_are_those_that_the_reference_does(steps: int, monkeypatch) -> None:
+    command = Command(models.nominal(), models.calibrated(), models.LOWER, models.UPPER, steps=steps)
+    program, done, run = tape_program(command, "double"), [], reference.run
+    monkeypatch.setattr(reference, "run", lambda tape, *more: done.append(tape) or run(tape, *more))
+    correct(program, 0.5 * (models.LOWER + models.UPPER)[None])
+    kinds = [node.op for tape in done for node in tape.nodes]
+    expected = sum(kind not in ("input", "const", "sin", "cos") for kind in kinds)
+    assert sum(operations(program).count.values()) == expected

@@ -5,6 +5,7 @@ import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 
+import arms
 import first_hour
 import numpy as np
 import pandas as pd
@@ -17,6 +18,7 @@ from casadical.identification.identification import identify
 from casadical.project.check.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
+from casadical.project.new.new import as_built
 from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot
 
@@ -200,3 +202,12 @@ def test_a_question_lists_its_choices_by_number(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr("casadical.cli.new.prompt", lambda *_, **__: next(answers))
     assert _ask(SimpleNamespace(text="Which?", choices={"first": [], "second": []})) == "second"
     assert capsys.readouterr().err == "  1: first\n  2: second\n"
+
+
+def test_a_simulated_robot_departs_from_nominal_to_either_side() -> None:
+    arm, rng, sigma = arms.six_axis(), np.random.default_rng(0), {"m": 3e-4, "rad": 5e-4}
+    chosen = [p for p in arm.parameters if p.group == "geometry"]
+    built = [as_built(arm, rng) for _ in range(40)]
+    off = [[(r.parameters[p.name].value - p.value) / sigma[p.unit] for p in chosen] for r in built]
+    assert np.abs(np.mean(off)) < 0.1
+    assert np.std(off) == pytest.approx(1.0, abs=0.1)
