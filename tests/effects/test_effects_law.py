@@ -91,6 +91,10 @@ def test_an_instrument_whose_place_is_not_given_stands_in_the_origin() -> None:
     np.testing.assert_allclose(shift(Law(None, "beam", "a * r"), 1e-4), 1e-4 * p, rtol=0, atol=1e-12)
 
 
+def test_laws_are_no_candidates_of_their_own() -> None:
+    assert [*Law.candidates(robot(NAME))] == []
+
+
 def test_the_head_moves_points_across_the_beam_by_the_sense_of_its_last_turn() -> None:
     station = (3.0, 1.0, 0.5)
     law = Law(None, "across", "a * head * r", station=station)

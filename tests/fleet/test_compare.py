@@ -16,10 +16,11 @@ from scipy.stats import multivariate_normal
 from casadical import InputError, Robot, calibrate, identify, plot, read_robot, write_robot
 from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, name_of, other_regions
-from casadical.fleet.changes import MEANINGS, Change, _per, times_in_words
+from casadical.fleet.changes import MEANINGS, Change, _per, in_words, times_in_words
 from casadical.fleet.comparison import changes_in, compare, courses_of, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, pooled_repeatability, with_common_noise
 from casadical.fleet.evidence import (
+    ANOTHER_ROBOT,
     KAPPAS,
     RELATIVE_FREQUENCY,
     Candidate,
@@ -486,6 +487,14 @@ def test_a_spring_usually_changes_by_a_third_of_itself_or_a_tenth_of_what_is_unk
     for value, prior, size in ((-2e-6, 1e-6, 6e-7), (0.0, 1e-6, 1e-7)):
         p = SimpleNamespace(group="compliance", value=value, prior=prior)
         assert _usual_size("joint_stiffness", p) == pytest.approx(size)
+
+
+def test_of_another_robot_parameters_count_that_differ_by_three_standard_errors() -> None:
+    amounts = [SimpleNamespace(value=v, std_error=2.0) for v in (5.9, -6.1, 7.0, 0.0)]
+    found = SimpleNamespace(campaigns=[SimpleNamespace(label="before"), SimpleNamespace(label="2026")])
+    cause = SimpleNamespace(kind=ANOTHER_ROBOT, label="another robot")
+    change = SimpleNamespace(since=1, named=True, cause=cause, course="jump", amounts=amounts)
+    assert "2 of 4 parameters differ by more than 3 standard errors" in in_words(found, change)
 
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:

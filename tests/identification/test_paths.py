@@ -16,7 +16,7 @@ from casadical.core.mapped_function import (
     compiler,
 )
 from casadical.identification.least_squares import LeastSquares
-from casadical.identification.residuals import LOSS_KNEE_SQUARE
+from casadical.identification.residuals import LOSS_KNEE_SQUARE, make_block
 
 ARM = arms.six_axis()
 NAMES = ("base_x", "a1", "alpha2", "theta3", "d4", "tool_x")
@@ -84,3 +84,11 @@ def test_machine_code_takes_over_where_it_pays(with_compiler):
     another = made()
     another(points[:, :LIBRARY_LOOKUP_POINTS], shared)
     assert another.is_compiled  # it is there already
+
+
+def test_inputs_that_are_not_kept_give_the_same_residuals() -> None:
+    m, none, x = problem(7).sets[0], np.zeros((0, 3)), np.random.default_rng(0).normal(size=len(NAMES))
+    made, kept = (make_block(ARM, m, NAMES, 1e-4, 1e-4, none, np.zeros(7, int), max_cached=n) for n in (0, 100))
+    for one, other in zip(made.evaluate(x, none), kept.evaluate(x, none), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal([*made.residuals(x, none)], [*kept.residuals(x, none)])

@@ -13,7 +13,7 @@ from casadical import InputError, identify, write_robot
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.pose_selection import Noise, Workspace, forecast, place_instrument
-from casadical.pose_selection.candidates import SOCKET_COLUMN, expected, poses_at_places
+from casadical.pose_selection.candidates import SOCKET_COLUMN, expected, poses_at_places, reachable_places
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places
 from casadical.pose_selection.pose_search import select_poses, select_with_places
 
@@ -187,3 +187,9 @@ def test_a_folder_of_distances_is_not_planned_as_positions(monkeypatch, tmp_path
     out = tmp_path / "next.csv"
     assert main(monkeypatch, *words, "--wires", 2, "--places", tmp_path / "places.csv", "--out", out) == 0
     assert "noise of 0.1 mm a distance" in " ".join(capfd.readouterr().out.split())
+
+
+def test_a_socket_out_of_reach_is_named_with_its_place(robot) -> None:
+    far = np.array([[5.0, 0.25, 0.1], [6.0, 0.0, 0.0]])
+    with pytest.raises(InputError, match=r"reaches 0 of 2 sockets, and 1 .* socket 1 at \(5000, 250, 100\) mm"):
+        reachable_places(robot, far, 1, Workspace(), np.random.default_rng(0))
