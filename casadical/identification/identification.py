@@ -269,7 +269,7 @@ def identify(
     --------
     >>> found = casadical.identify(robot, poses, method="KM")
     >>> print(found.verdict)
-    KM: 9 parameters identified from 40 poses, 3 not identifiable. Ipopt found an optimum.
+    KM: 9 parameters identified from 40 poses, 3 not identifiable. The solver found an optimum.
     >>> print(f"a1 = {1e3 * found.robot.parameters['a1'].value:.3f} mm")
     a1 = 400.601 mm
     """

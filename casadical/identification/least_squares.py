@@ -8,7 +8,7 @@ distances between points, and of the priors that apply.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import chain
@@ -24,6 +24,7 @@ from casadical.identification.residuals import MAX_CACHED_DATA_POSES, Block, Los
 from casadical.identification.solver import (
     ACCEPTABLE_STATUS,
     OPTIMUM_MESSAGE,
+    STOPPED_STATUS,
     ProblemCache,
     Progress,
     Solution,
@@ -43,6 +44,9 @@ INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # of a standard error. A search is slow along what only priors determine, such as the common scale
 # of estimated masses and compliances, or parameters with a prior from another campaign.
 SETTLED_COST_GAIN = 5e-3
+# Gain of one more step [cost] below which a point is an optimum: a ten-thousandth of a standard
+# error.
+SHARP_COST_GAIN = 1e-8
 # Number of free parameters of a problem with priors above which those of effects are not tested
 # for independence.
 MANY_PARAMETERS = 200
@@ -267,53 +271,67 @@ class LeastSquares:
         )
         return dict(zip(self.names, values, strict=True))
 
-    def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
+    def solve(
+        self,
+        progress: Progress | None = None,
+        start: Array | None = None,
+        hopeless: Callable[[LeastSquares, Array], bool] | None = None,
+    ) -> Solution:
         """Return the optimum within the bounds, by default from the robot's own values.
 
-        Where round-off of the cost stops Ipopt's line search, the solver cannot tell that it is at
-        an optimum; the predicted gain of one more Gauss-Newton step decides.
+        Gauss-Newton steps often suffice; else Ipopt goes on from where they lead. Where round-off of
+        the cost stops its line search, it cannot tell that it is at an optimum; the predicted gain
+        of one more Gauss-Newton step decides.
 
         start : variables v, shape (size,); None: zero
+        hopeless : (self, v) -> whether a slow search ends at v, because this problem will be reduced
         Raises ConvergenceError where Ipopt finds none.
         """
         scale = 0.5 * self.residual_count
-        start = self._approached(np.zeros(self.size) if start is None else start)
+        start, history = self._approached(np.zeros(self.size) if start is None else start)
+        if history:
+            if progress:
+                progress(len(history) - 1, history[-1])
+            return Solution(start, "Solve_Succeeded", OPTIMUM_MESSAGE, history)
+        if hopeless and hopeless(self, start):
+            return Solution(start, STOPPED_STATUS, "", (self.cost(start),))
         creeps = bool(self.guesses.any() or self.correlated)
         settled = (lambda v: self.decrement(v) < SETTLED_COST_GAIN) if creeps else None
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
-        # An optimum is where one more step gains less than 1e-8 in cost: a ten-thousandth of a
-        # standard error.
-        sharp = solution.status == ACCEPTABLE_STATUS and self.decrement(solution.v) < 1e-8
+        sharp = solution.status == ACCEPTABLE_STATUS and self.decrement(solution.v) < SHARP_COST_GAIN
         return replace(solution, message=OPTIMUM_MESSAGE) if sharp else solution
 
-    def _approached(self, v: Array) -> Array:
+    def _approached(self, v: Array) -> tuple[Array, tuple[float, ...]]:
         """Return the variables, shape (size,), reached from v by bounded Gauss-Newton steps.
 
         Along bounds an active set needs a few steps where Ipopt's interior point needs many. A step
         that raises the cost is repeated with damping (Levenberg-Marquardt). There are at most
-        MAX_APPROACH_STEPS. They end earlier where one changes the cost by less than
-        SETTLED_COST_GAIN, where damping does not help, or where an undamped one would lower it by
-        less than a hundredth and meets no bound: Ipopt makes the same step.
+        MAX_APPROACH_STEPS. They end earlier where damping does not help, or, at bounds, where one
+        changes the cost by less than SETTLED_COST_GAIN. The costs at all steps are returned, too,
+        where the last point is an optimum inside the bounds, as sharp as Ipopt's; else none.
         """
         cost, damping = self.cost(v), 0.0
+        history = [cost]
         for _ in range(MAX_APPROACH_STEPS):
             step, (g, H) = self.step(v, damping), self.gradient(v)
             closer = v + step
-            small = -(g + 0.5 * H @ step) @ step < 0.01 * cost
-            if small and not (damping or self.at_bounds(closer).any()):
-                break
+            predicted = -(g + 0.5 * H @ step) @ step
+            inside = not (damping or self.at_bounds(closer).any())
+            if inside and predicted < SHARP_COST_GAIN and np.abs(g).max() < 1e-6 * 0.5 * self.residual_count:
+                return v, tuple(history)
             gain = cost - (then := self.cost(closer))
             if gain > 0:
                 v, cost, damping = closer, then, damping / 10
-                if gain < SETTLED_COST_GAIN:
+                history.append(cost)
+                if gain < SETTLED_COST_GAIN and not inside:
                     break
             elif abs(gain) < SETTLED_COST_GAIN or damping > 1:
                 break
             else:  # also after a cost that is not a number
                 damping = max(10 * damping, 1e-3)
-        return v
+        return v, ()
 
     def cost(self, v: Array) -> float:
         """Return the cost at v: half the sum of squares, through the loss, with the priors.

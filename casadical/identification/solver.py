@@ -23,7 +23,7 @@ MIN_COST_REDUCTION = 1e-3
 SLOW_ITERATIONS = 10
 
 # Message of an optimum at full accuracy.
-OPTIMUM_MESSAGE = "Ipopt found an optimum."
+OPTIMUM_MESSAGE = "The solver found an optimum."
 # Ipopt's status where it stops at its acceptable, not at its required accuracy.
 ACCEPTABLE_STATUS = "Solved_To_Acceptable_Level"
 # Ipopt's status where `settled` (see `minimise`) stopped a slow search at the optimum.
@@ -54,7 +54,8 @@ class Solution:
     """The point at which the solver stopped.
 
     v : scaled variables, shape (size,)
-    status : Ipopt's return status; message : the same as a sentence, with a remedy
+    status : Ipopt's return status, Solve_Succeeded also where Gauss-Newton steps sufficed; message : the
+        same as a sentence, with a remedy
     history : cost (half of chi-squared, with priors) at each iteration
     """
 

@@ -9,6 +9,7 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.stats import t as student
 
 from casadical import identify
+from casadical.identification import least_squares as fit
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.residuals import LOSS_KNEE_SQUARE
 
@@ -47,6 +48,17 @@ def small():
 
 
 FREE = ("base", "a1", "a2", "theta3", "d4", "beta2", "tool_x")
+
+
+def test_gauss_newton_steps_end_where_ipopt_does(small, monkeypatch):
+    """Ipopt, which takes longer to build than a small problem to solve, is for what they do not finish."""
+    with monkeypatch.context() as patched:
+        patched.setattr(fit, "minimise", None)
+        steps = identify(ARM, small, FREE, loss="linear")
+    monkeypatch.setattr(fit, "MAX_APPROACH_STEPS", 0)
+    ipopt = identify(ARM, small, FREE, loss="linear")
+    assert np.abs((steps.estimate - ipopt.estimate) / ipopt.standard_errors).max() < 1e-3
+    assert steps.solution.message == ipopt.solution.message
 
 
 def test_estimate_and_covariance(small):

@@ -1,12 +1,14 @@
 """Which parameters come out as identifiable, and the words for those that do not."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import arms
 import numpy as np
 import pytest
 
-from casadical import InputError, identify
+from casadical import InputError, identify, read_problem
+from casadical.identification import least_squares
 from casadical.identification.identifiability import analyse, scaled_solution
 
 ARM = arms.six_axis()
@@ -134,3 +136,11 @@ def test_a_step_is_that_of_the_least_squares_problem(weak: float) -> None:
     J, r = A * 10.0 ** np.arange(-4, 5)[[0, 2, 4, 6, 8, 8]], A @ np.ones(6)
     step = scaled_solution(J.T @ J, J.T @ r)
     assert np.linalg.norm(J @ step - r) < 1e-5 * np.linalg.norm(r)
+
+
+def test_no_search_goes_on_along_what_will_be_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four angles and compliances of this campaign are determined so badly that Ipopt takes 90 evaluations."""
+    monkeypatch.setattr(least_squares, "minimise", None)
+    problem = read_problem(Path(__file__).parents[2] / "problems" / "ur10")
+    result = identify(problem.robot, problem.sets["identify"], method="SKCM", loss="linear", priors=False)
+    assert sum("worse than its prior" in u.reason for u in result.identifiability.unidentifiable) == 4
