@@ -59,6 +59,7 @@ class Parameters(Sequence[Parameter]):
     def __init__(self, items: Iterable[Parameter]) -> None:
         self._items = tuple(items)
         self._index = {p.name: k for k, p in enumerate(self._items)}
+        self.names = tuple(self._index)  # in model order
         if len(self._index) != len(self._items):
             names = [p.name for p in self._items]
             raise InputError(f"parameter names occur twice: {sorted({n for n in names if names.count(n) > 1})}")
@@ -80,11 +81,6 @@ class Parameters(Sequence[Parameter]):
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")
         return self._index[name]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names, in model order."""
-        return tuple(p.name for p in self._items)
 
     @property
     def values(self) -> Array:

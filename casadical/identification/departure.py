@@ -132,9 +132,10 @@ def _posterior(
         return None
     weight = np.exp(log_likelihood - log_likelihood.max())
     weight /= weight.sum()
-    # Shares of the data in the estimate along each eigenvector, at every size and sigma.
-    shares = value / (value + (sigmas[:, None, None] / SIZE_GRID[:, None]) ** 2)
-    mean = float(np.einsum("ij,ijk->", weight, shares))
+    # Shares of the data in the estimate along each eigenvector, at every size and sigma of some weight.
+    likely = weight > 1e-15
+    ratio = (sigmas[:, None] / SIZE_GRID)[likely]
+    mean = float(weight[likely] @ (value / (value + ratio[:, None] ** 2)).sum(axis=1))
     noise = float(np.exp(weight.sum(axis=1) @ np.log(sigmas)))
     by_size = (value / (value + (noise / SIZE_GRID[:, None]) ** 2)).sum(axis=1)
     prior = float(np.exp(np.interp(mean, by_size, np.log(SIZE_GRID))))
