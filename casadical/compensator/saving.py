@@ -91,7 +91,7 @@ _SAVED_FIELDS: dict[str, Any] = {
 class _SavedNetwork(BaseModel):
     """Schema of a `Network` in a file, without its layout."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
     box_rad: JointBox
     output_scale_mm: float = Field(gt=0)

@@ -71,7 +71,7 @@ Schema = TypeVar("Schema", bound=BaseModel)
 class TomlTable(BaseModel):
     """Base of schemas of TOML tables; a `Quantity` has its unit in the key, and SI in the field."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, defer_build=True)
 
     @model_validator(mode="before")
     @classmethod

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Table, Words
@@ -143,6 +142,8 @@ def residual_quantiles(residuals: Array) -> Figure:
     residuals : of every coordinate of every used pose, in units of their standard deviation, any
         shape
     """
+    from scipy.special import ndtri
+
     residuals = np.sort(residuals, axis=None)
     n = len(residuals)
     k = np.unique(np.linspace(0, n - 1, min(n, MAX_POINTS_DRAWN)).round().astype(int))

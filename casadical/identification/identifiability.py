@@ -13,10 +13,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.normal_equations import inverse_of_triangle
+from casadical.core.linear_gaussian.normal_equations import MAX_NUMPY_ROWS, inverse_of_triangle
 from casadical.core.parameters import Parameter
 
 # Largest length of a unit column's residual, after projection on the columns before it, at which it
@@ -188,6 +187,11 @@ def scaled_solution(H: Array, g: Array) -> Array:
     with suppress(np.linalg.LinAlgError):
         L = np.linalg.cholesky(H / np.outer(root, root))
         if np.diag(L).min(initial=1.0) > 1e-4:
+            if len(L) <= MAX_NUMPY_ROWS:
+                half = inverse_of_triangle(L)
+                return np.asarray(half.T @ (half @ (g / root)) / root)
+            from scipy.linalg import cho_solve
+
             return np.asarray(cho_solve((L, True), g / root, check_finite=False) / root)
     return np.asarray(scaled_inverse(H) @ g)
 

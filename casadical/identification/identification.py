@@ -13,7 +13,6 @@ from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
-from scipy.special import fdtrc
 
 from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.parts import Body, lacks_masses, with_estimated_masses
@@ -319,6 +318,8 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     wider = prepared.compliant
     if wider is None:
         return prepared
+    from scipy.special import fdtrc
+
     rng = np.random.default_rng(0)
     sets = tuple(
         m

@@ -7,7 +7,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from casadical.core.basics import M_PER_MM, Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
@@ -264,6 +263,8 @@ def _outliers(r: Array, freedom: Array, share: float = 1.0) -> Array:
 
     r, freedom : residuals [sigma] and their redundancy numbers, equal shapes
     """
+    from scipy.special import chdtri
+
     # A pose with high leverage shows little of its error.
     z = r / np.sqrt(np.maximum(freedom, MIN_REDUNDANCY))
     return np.asarray((z**2).sum(axis=1) > share * chdtri(r.shape[1], OUTLIER_PROBABILITY) * robust_std(z) ** 2)
@@ -277,6 +278,8 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
 
     problem : with all poses; solved : of a part of these poses
     """
+    from scipy.special import chdtri
+
     fitted, solution, _ = solved
     whole = replace(fitted, sets=_with_noise_of(fitted, problem.sets))
     x, u = fitted.separate(solution.v)

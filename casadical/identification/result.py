@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from scipy.special import chdtri, stdtrit
 
 from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.reporting.blocks import Table, Words, mm
@@ -283,6 +282,8 @@ class Identification(Result):
             return []
         e, sigma = errors(self.robot, m), self._noise_of(m)[0]
         columns = dict.fromkeys(poses, "")
+        from scipy.special import chdtri
+
         for i in poses[:20] if m.position is not None else ():  # of more rows no list is read
             one = m[[i]]
             square = residual_mm(self.robot, one)[0] ** 2
@@ -313,6 +314,8 @@ class Identification(Result):
         uncertainty of a predicted position widens it. Where more than a fifth, and more than one,
         would be outliers, none is: then the model errs, not the rows.
         """
+        from scipy.special import chdtri
+
         out = np.zeros(len(m), dtype=bool)
         numbers = find_kind(m.kind).lengths
         turns = turn_errors(self.robot, m)
@@ -359,6 +362,8 @@ class Identification(Result):
         errors and interval NaN unless identified. Where an identified one has the standard error of
         its prior, the reason says so.
         """
+        from scipy.special import stdtrit
+
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
         reasons = {u.name: u.reason for u in self.identifiability.unidentifiable}
         place_of = {name: k for k, name in enumerate(self.names)}

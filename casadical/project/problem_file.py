@@ -46,7 +46,7 @@ BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 class _Strict(BaseModel):
     """A table of problem.toml; unknown keys, other types and infinite numbers are refused."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, defer_build=True)
 
 
 class _Separation(_Strict):
@@ -59,7 +59,7 @@ class _Separation(_Strict):
 class _Source(_Strict):
     """How a column is made (see `casadical.measurements.columns.Source`)."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True, defer_build=True)
 
     name: str = Field(alias="from")
     times: float = 1.0

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dtrtri
 
 from casadical.core.basics import Array
+
+# Largest size of a triangle that numpy inverts as a full matrix: importing scipy.linalg takes longer
+# than a thousand such inverses.
+MAX_NUMPY_ROWS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,11 @@ def marginalised(H: Array, g: Array, selected: Array, inverse: Array) -> tuple[A
 
 def inverse_of_triangle(L: Array) -> Array:
     """Return the inverse of a lower triangular matrix, shape (p, p)."""
-    return np.asarray(dtrtri(L, lower=1)[0]) if len(L) else L
+    if len(L) <= MAX_NUMPY_ROWS:
+        return np.asarray(np.linalg.inv(L))
+    from scipy.linalg.lapack import dtrtri
+
+    return np.asarray(dtrtri(L, lower=1)[0])
 
 
 def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
@@ -113,6 +119,8 @@ def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
     Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
     L = _factor(normal)
+    from scipy.linalg import solve_triangular
+
     return L, solve_triangular(L, right, lower=True)
 
 
