@@ -132,7 +132,7 @@ def _posterior(
         return None
     weight = np.exp(log_likelihood - log_likelihood.max())
     weight /= weight.sum()
-    # Shares of the data in the estimate along each eigenvector, at every size and sigma of some weight.
+    # Shares of the data in the estimate along each eigenvector, at each likely size and sigma.
     likely = weight > 1e-15
     ratio = (sigmas[:, None] / SIZE_GRID)[likely]
     mean = float(weight[likely] @ (value / (value + ratio[:, None] ** 2)).sum(axis=1))

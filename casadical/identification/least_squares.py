@@ -275,16 +275,16 @@ class LeastSquares:
         self,
         progress: Progress | None = None,
         start: Array | None = None,
-        hopeless: Callable[[LeastSquares, Array], bool] | None = None,
+        poor_at: Callable[[LeastSquares, Array], object] | None = None,
     ) -> Solution:
         """Return the optimum within the bounds, by default from the robot's own values.
 
-        Gauss-Newton steps often suffice; else Ipopt goes on from where they lead. Where round-off of
-        the cost stops its line search, it cannot tell that it is at an optimum; the predicted gain
-        of one more Gauss-Newton step decides.
+        Gauss-Newton steps often suffice; else Ipopt goes on from there. Where round-off of the cost
+        stops its line search, it cannot tell that it is at an optimum; the predicted gain of one
+        more Gauss-Newton step decides.
 
         start : variables v, shape (size,); None: zero
-        hopeless : (self, v) -> whether a slow search ends at v, because this problem will be reduced
+        poor_at : (self, v) -> parameters that will be left out; a slow search along them ends at v
         Raises ConvergenceError where Ipopt finds none.
         """
         scale = 0.5 * self.residual_count
@@ -293,7 +293,7 @@ class LeastSquares:
             if progress:
                 progress(len(history) - 1, history[-1])
             return Solution(start, "Solve_Succeeded", OPTIMUM_MESSAGE, history)
-        if hopeless and hopeless(self, start):
+        if poor_at and self.decrement(start) < 1e-3 * self.cost(start) and poor_at(self, start):
             return Solution(start, STOPPED_STATUS, "", (self.cost(start),))
         creeps = bool(self.guesses.any() or self.correlated)
         settled = (lambda v: self.decrement(v) < SETTLED_COST_GAIN) if creeps else None

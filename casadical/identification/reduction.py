@@ -333,7 +333,8 @@ def reduce_and_solve(
     while reduced.names:
         variables = reduced.names, reduced.labels
         try:
-            solution = reduced.solve(progress, optima.get(variables), None if problem.priors else _hopeless)
+            poor_at = None if problem.priors else lambda own, v: _poorly_determined(own, v, variance(own, v))
+            solution = reduced.solve(progress, optima.get(variables), poor_at)
         except ConvergenceError:
             if problem.priors:
                 raise
@@ -446,15 +447,6 @@ def _poorly_determined(
     at = [k for k, name in enumerate(problem.names) if name in of_data]
     H[at, at] -= np.diag(problem.prior_matrix)[at]
     return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance)[1]
-
-
-def _hopeless(problem: LeastSquares, v: Array) -> bool:
-    """Return whether v is near enough to the optimum to tell that some parameters will be left out.
-
-    A search along what the data do not determine takes most of its steps for nothing.
-    """
-    near = problem.decrement(v) < 1e-3 * problem.cost(v)
-    return near and bool(_poorly_determined(problem, v, variance(problem, v)))
 
 
 # The reason given for parameters that move the robot as a whole.

@@ -54,8 +54,8 @@ class Solution:
     """The point at which the solver stopped.
 
     v : scaled variables, shape (size,)
-    status : Ipopt's return status, Solve_Succeeded also where Gauss-Newton steps sufficed; message : the
-        same as a sentence, with a remedy
+    status : Ipopt's return status, Solve_Succeeded also where Gauss-Newton steps sufficed
+    message : the same as a sentence, with a remedy
     history : cost (half of chi-squared, with priors) at each iteration
     """
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Largest size of a triangle that numpy inverts as a full matrix: importing scipy.linalg takes longer
-# than a thousand such inverses.
+# Largest size of a triangle that numpy inverts as a full matrix: scipy.linalg takes longer to import
+# than a thousand of these.
 MAX_NUMPY_ROWS = 50
 
 
