@@ -416,6 +416,10 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
     """
     _refuse_names(d, () if module.startswith("casadical.") else ARGUMENT_COUNTS)
     kind = _class_of(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
+    if "joints" not in kind.acts_at and ("joint" in kind.places or any(SEAMS[seam].numbered for seam in d.formulas)):
+        raise InputError(
+            f"acts_at = {kind.acts_at!r}: its formula is of one joint; allowed: joints, turning joints, rigid joints"
+        )
     settings = {key: s.value for key, s in d.settings.items()}
     numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
     with errors_of("formulas: "):

@@ -10,6 +10,7 @@ import shutil
 import tempfile
 import traceback
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 from fuzz_inputs import NUMBERS
@@ -120,6 +121,11 @@ def kinds(place: Path) -> dict[str, Kind]:
     def program(path: Path) -> None:
         read_target_program(path, Given(), 6)
 
+    def effects(path: Path) -> None:
+        for kind in read_definitions(path).values():  # what is accepted has a place in the model
+            robot = arm.with_effect(*islice(kind.candidates(arm), 1))
+            robot.position([0.1] * robot.n, robot.parameters.values)
+
     def log(path: Path) -> None:
         read_log(path, unit="deg")
 
@@ -165,7 +171,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         Kind("dh.csv", [(place / "in/dh.csv").read_bytes()], made, 3),
         Kind("arm.urdf", [URDF.encode()], casadical.read_urdf, 3),
         Kind("room.toml", [(place / "in/room.toml").read_bytes()], lambda p: read_workspace(p, arm), 2),
-        Kind("my.effect.toml", [EFFECTS.encode()], read_definitions, 3),
+        Kind("my.effect.toml", [EFFECTS.encode()], effects, 3),
         Kind("program.csv", [(place / "in/program.csv").read_bytes()], lambda p: read_target_program(p, Given(), 2), 2),
         Kind("net.json", [(place / "in/net.json").read_bytes()], load_compensator, 3),
         Kind("results/result.json", [(place / "in/results/result.json").read_bytes()], stated, 2),
@@ -252,3 +258,70 @@ def mutated(kind: Kind, rng: random.Random) -> bytes:
         )
         tokens[a:b] = part
     return b"".join(tokens)
+
+
+NAMES = ("q1", "q{joint}", "q{joint}", "tau{joint}", "approach{joint}", "t", "warmth_600s", "payload_kg", "width")
+ODD_NAMES = ("tau9", "q0", "joint", "temperature_degC", "__class__", "x")
+
+
+def formula(rng: random.Random, odd: float, depth: int = 3) -> str:
+    """Return a formula of an effect, with operators and calls up to `depth` in one another.
+
+    odd : share of names, calls and numbers that do not exist or are at the edge
+    """
+    if depth == 0 or rng.random() < 0.2:
+        return rng.choice(ODD_NAMES + NUMBERS) if rng.random() < odd else rng.choice((*NAMES, "0.5", "2"))
+    a, b = formula(rng, odd, depth - 1), formula(rng, odd, depth - 1)
+    sign = rng.choice(("%", "<", "", "/")) if rng.random() < odd else rng.choice("+-**")
+    one, two = rng.choice(("sin", "cos", "tanh", "abs", "step", "sign")), rng.choice(("min", "max"))
+    if rng.random() < odd:
+        one, two = rng.choice(("exp", "sqrt", "eval", "q1", "")), rng.choice(("sin", "pow"))
+    return rng.choice((f"{a} {sign} {b}", f"({a}) {sign} ({b})", f"{one}({a})", f"{two}({a}, {b})"))
+
+
+def effect_file(rng: random.Random) -> bytes:
+    """Return an effect file by its grammar: keys that exist, and values of which few or none are odd."""
+    odd = rng.choice((0.0, 0.0, 0.05, 0.3))
+
+    def value(*usual: str) -> str:
+        number = rng.choice(NUMBERS) or "0"
+        strange = ("0.1", number, f"[{number}, 0.2]", f"{{first = {number}, last = 2, count = 3}}", '"near"', "true")
+        return rng.choice(strange if rng.random() < odd else usual)
+
+    lines = ["casadical = 2"]
+    for k in range(rng.randint(1, 3)):
+        seam, own = rng.choice(("joint", "joint", "growth", "tool shift")), f"half * ({formula(rng, odd)})"
+        own = f"[{own}, 0, {formula(rng, odd, 1)}]" if seam == "tool shift" else own
+        size, unit, grid = value("40e-6", "1"), value('"rad"', '"m"'), value("[0.1, 0.2]", "[0.1]")
+        keys = {
+            "name": value(f'"own_{k}"'),
+            "signature": value('"a step"'),
+            "sizes": f"{{half = [{size}, {unit}]}}",
+            f"formulas.{value(json.dumps(seam))}": json.dumps(own),
+            "settings.width": f"{{default = {value('0.1')}, grid = {grid}}}",
+            "needs": value('["payload_kg"]', '["approach{joint}"]'),
+            "acts_at": value('"joints"', '"arm"', '"turning joints"'),
+            "together": value("true", "false"),
+        }
+        left = rng.sample(list(keys)[4:], rng.randint(0, 4))
+        lines += ["[[definition]]", *(f"{key} = {text}" for key, text in keys.items() if key not in left)]
+    return "\n".join(lines).encode()
+
+
+def log_file(rng: random.Random) -> bytes:
+    """Return a joint log by its grammar: a heading of columns, units and rows in time, some cells at the edge."""
+    units = ("", "_rad", "_deg", "_A", "_Nm", "_rad_s")
+    heads = [
+        f"{what}{k}{unit}" for k in (1, 2, 3) for what in ("q", "command", "current", "qd", "tau") for unit in units
+    ]
+    usual = ["command1_rad", "command2_rad", "q1_rad", "q2_rad"] if rng.random() < 0.7 else []
+    columns = ["time_s", *usual, *rng.sample(heads, rng.randint(0, 2) if usual else rng.randint(1, 9))]
+    comma, decimal = rng.choice(((",", "."), (";", ","), ("\t", "."), (" ", "."), (",", ",")))
+    end, odd = rng.choice(("\n", "\r\n")), rng.choice((0.0, 0.0, 0.01))
+    step = float(rng.choice(("0.004", "0.004", "0.002", "0.01", "-0.004", "1e9")))
+    lines = [comma.join(columns)]
+    for i in range(rng.choice((1, 2, 2, 3, 30, 300))):
+        cells = [f"{step * i:.6g}", *(f"{rng.gauss(0, 1):.6g}" for _ in columns[1:])]
+        cells = [rng.choice(NUMBERS) if rng.random() < odd else cell for cell in cells]
+        lines.append(comma.join(cell.replace(".", decimal) for cell in cells))
+    return (rng.choice(("", "", "\ufeff", "# log" + end)) + end.join(lines)).encode()

@@ -120,3 +120,15 @@ def test_mutated_files_end_as_documented(kinds, data: st.DataObject) -> None:
     began = time.process_time()
     assert fuzz_files.fault_of(kind, place, content) == "", content
     assert time.process_time() - began < 20
+
+
+@pytest.mark.parametrize(
+    ("name", "made"), [("my.effect.toml", fuzz_files.effect_file), ("log.csv", fuzz_files.log_file)]
+)
+@settings(DRAWN_BY_RULE, max_examples=100)
+@given(data=st.data())
+def test_files_by_grammar_end_as_documented(kinds, name: str, made, data: st.DataObject) -> None:
+    """What is nearly right comes farther than mutants do: it reaches the model, and the log's own checks."""
+    listed, place = kinds
+    content = made(data.draw(st.randoms(use_true_random=False)))
+    assert fuzz_files.fault_of(listed[name], place, content) == "", content

@@ -313,8 +313,9 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
         if beyond:
             raise InputError(f"{place}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
         _refuse_change(log, k)
-        if log.command is not None and np.nanstd(column) > MIN_MOVEMENT and np.nanstd(log.command[:, k]) > MIN_MOVEMENT:
-            ratio = float(np.nanstd(log.command[:, k]) / np.nanstd(column))
+        command = np.zeros(0) if log.command is None else log.command[:, k]
+        if np.isfinite(command).any() and np.nanstd(column) > MIN_MOVEMENT and np.nanstd(command) > MIN_MOVEMENT:
+            ratio = float(np.nanstd(command) / np.nanstd(column))
             for factor, words in (
                 (DEGREES_PER_RADIAN, ("commands", "readings")),
                 (1 / DEGREES_PER_RADIAN, ("readings", "commands")),
