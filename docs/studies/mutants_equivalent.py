@@ -5,14 +5,19 @@ from __future__ import annotations
 
 EQUIVALENT: dict[str, str] = {
     "blind_check/mujoco_physics/equilibrium.py ReplaceComparisonOperator_Lt_LtE 0: if np.abs(self.data.qvel).max() < creep: => if np.abs(self.data.qvel).max() <= creep:": "a speed that equals the threshold to the last digit",
+    "cli/withheld.py AddNot 0: if TYPE_CHECKING: => if not TYPE_CHECKING:": "what annotations alone need is imported, too: time alone",
+    "cli/verify.py AddNot 0: if TYPE_CHECKING: => if not TYPE_CHECKING:": "what annotations alone need is imported, too: time alone",
     "compensator/trainers/iwo.py ReplaceFalseWithTrue 0: self.search.tell(self._task.losses(self.search.ask().astype(self._dtype, copy=False))) => self.search.tell(self._task.losses(self.search.ask().astype(self._dtype, copy=True)))": "a copy of the same numbers: memory alone",
     "compensator/network.py NumberReplacer 10: z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=buffers(0, (first[..., 0].size, samples), dtype)) => z = np.matmul(first.reshape(- 2, first.shape[-1]), inputs, out=buffers(0, (first[..., 0].size, samples), dtype))": "numpy takes any negative number for the dimension that is left",
     "compensator/trainers/levenberg_marquardt.py NumberReplacer 10: size = max(1, 4_000_000 // (task.layout.count * task.targets.size)) => size = max( 2, 4_000_000 // (task.layout.count * task.targets.size))": "how many problems are computed at once: memory alone",
     "core/levenberg_marquardt.py NumberReplacer 2: least_gain: float = -1.0, => least_gain: float = - 2.0,": "a gain is never negative: any number below zero means never",
     "core/linear_gaussian/columns.py ReplaceComparisonOperator_Gt_NotEq 2: return Combined((*blocks, *[(end, len(columns), None)] * (len(columns) > end))) => return Combined((*blocks, *[(end, len(columns), None)] * (len(columns) != end)))": "no part ends behind the last column",
+    "diagnosis/laws/candidates.py NumberReplacer 135: ends = np.cumsum([8 * width * c.unit[..., 0].size * len(c.function.settings) for c in every]) => ends = np.cumsum([8 * width * c.unit[..., -1].size * len(c.function.settings) for c in every])": "every part of the last axis has one size",
     "effects/formula_effect.py RemoveDecorator 2:  => def drivers(self) -> tuple[str, ...]:": "each class that is made has a property of its own; this one says that it is missing",
+    "effects/definition.py ReplaceBinaryOperator_Pow_Add 1: scale = np.array([np.abs(d).max(), np.abs(d).max() ** 3]) => scale = np.array([np.abs(d).max(), np.abs(d).max() + 3])": "the unit of a column in which least squares are solved",
     "export/controller/programs/correction.py ReplaceFalseWithTrue 1: @dataclass(frozen=True, eq=False) => @dataclass(frozen=True, eq=True)": "nothing compares two of them",
     'export/mjcf/mjcf.py ReplaceTrueWithFalse 3: for axis, words, k in zip("xy", AXIS_VECTORS[:2], parts.base, strict=True): => for axis, words, k in zip("xy", AXIS_VECTORS[:2], parts.base, strict=False):': "a base has two springs, one for each axis",
+    'fleet/evidence.py NumberReplacer 51: curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, MAX_COMPARED_HARMONIC + 1) for w in "sc"] => curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range( 0, MAX_COMPARED_HARMONIC + 1) for w in "sc"]': "no curve has a harmonic of order zero: names that are no parameters are dropped",
     "fleet/touches.py ReplaceTrueWithFalse 4: for n, v in zip(self.model.names, d * scale, strict=True) => for n, v in zip(self.model.names, d * scale, strict=False)": "there is one number for each name",
     "identification/arm_or_camera.py NumberReplacer 298: total = float(np.sqrt(((unit @ y[first].reshape(-1, 6)[:, :3, None]) ** 2).sum(axis=(1, 2)).mean())) => total = float(np.sqrt(((unit @ y[first].reshape(- 2, 6)[:, :3, None]) ** 2).sum(axis=(1, 2)).mean()))": "numpy takes any negative number for the dimension that is left",
     "measurements/corners.py NumberReplacer 258: return frame(R, H[:, 2] - R @ [*middle, seen[0, 4]]) => return frame(R, H[:, 2] - R @ [*middle, seen[ 1, 4]])": "the corners of a board lie in the plane z = 0: others are refused",
@@ -25,4 +30,5 @@ EQUIVALENT: dict[str, str] = {
     "robot/urdf/tree.py ReplaceTrueWithFalse 0: arms = [e for e, way in zip(ends, beyond, strict=True) if not {j.name for j in way} <= led] => arms = [e for e, way in zip(ends, beyond, strict=False) if not {j.name for j in way} <= led]": "there is one way for each end",
     "robot/dynamics.py NumberReplacer 104: @lru_cache(maxsize=16) => @lru_cache(maxsize= 17)": "how many are held in memory: time alone",
     "robot/urdf/tree.py NumberReplacer 5: largest = max(map(abs, numbers), default=0.0) => largest = max(map(abs, numbers), default= -1.0)": "of no numbers, any size below the bounds is as good",
+    "robot/robot_file.py ReplaceBinaryOperator_Sub_BitXor 0: gone = set(knowledge.std_errors) - set(robot.parameters.names) if knowledge else set[str]() => gone = set(knowledge.std_errors) ^ set(robot.parameters.names) if knowledge else set[str]()": "names that the knowledge does not have are taken from it, too: it stays as it is",
 }

@@ -163,3 +163,13 @@ def test_lines_are_added_behind_what_is_whole_by_one_process(tmp_path: Path) -> 
         with pytest.raises(InputError, match="another casadical"), appending(path, 0):
             pass
     assert path.read_bytes() == b"one\ntwo\n"
+
+
+def test_what_is_appended_stands_in_folders_that_were_missing(tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "log.txt"
+    with appending(path, 0) as append:
+        append("one\n")
+        append("two\n")
+    with appending(path, 4) as append:
+        append("three\n")
+    assert path.read_text() == "one\nthree\n"

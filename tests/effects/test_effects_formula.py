@@ -127,3 +127,8 @@ def test_a_law_is_a_number_everywhere(text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Law(joint=1, formula=text)
     assert Law(joint=1, formula="a*sqrt(t)*exp(0-payload)/(1+q1**2)").drivers == ("t", "payload", "q1")
+
+
+def test_a_number_that_runs_into_a_word_is_refused_without_a_warning() -> None:
+    with pytest.raises(InputError, match="it cannot be read"):
+        parse("a * (1or q)")

@@ -14,7 +14,7 @@ from fleet_plants import A1, planar
 from casadical import InputError, plot, read_robot
 from casadical.core.reporting.blocks import Table, Words
 from casadical.fleet.hierarchy import Common, common_of, population_of
-from casadical.fleet.result import MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type
+from casadical.fleet.result import MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type, trends
 from casadical.fleet.run import run_fleet
 from casadical.fleet.store import EMPTY_ROW, add, fingerprint, one_robot, records, rows
 from casadical.measurements.kinds.position import Position
@@ -312,3 +312,11 @@ def test_joints_that_yield_are_one_sentence_and_lengths_another() -> None:
         "c1 is +2 urad/(N m) +/- 0.01, c2 +1.5 um/N +/- 0.01 from the drawing: their joints yield otherwise than it "
         "says; correct the compliances in the robot file.",
     ]
+
+
+def test_of_many_robots_those_that_changed_or_grew_are_named() -> None:
+    names = [f"arm{k}" for k in range(14)]
+    lives = {"campaigns": 2, "days": [[19000.0, 19400.0]] * 14, "left_mm": [[0.05, 0.06]] * 14}
+    good = pd.DataFrame({"robot": names, "changes": ["a crash"] * 2 + [""] * 12, **lives})
+    assert sorted(mark.text for mark in trends(good, {"arm5"}).marks) == ["arm0", "arm1", "arm5"]
+    assert sorted(mark.text for mark in trends(good[:9], ()).marks) == names[:9]

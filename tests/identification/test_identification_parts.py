@@ -104,6 +104,12 @@ def test_a_bounded_step_meets_the_conditions_of_an_optimum(common: float) -> Non
         assert (slope[step < upper] > -1e-9).all()
 
 
+def test_a_choice_of_ones_own_is_no_method_of_the_paper(result) -> None:
+    assert result.method == "identify"
+    fitted = identify(arms.six_axis(), result.measurements[0], method="KM")
+    assert fitted.method == "KM"
+
+
 def test_poses_without_outliers_are_all_explained() -> None:
     arm = arms.six_axis()
     result = identify(arm, arms.positions(arm, arms.readings(arm, 300, 1), 2), ["placement", "a2", "theta2"])

@@ -10,6 +10,7 @@ from command_line import run
 
 from casadical import InputError, read_measurements, read_problem
 from casadical.measurements.arrangement import joined
+from casadical.measurements.array_files import _columns
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table
 from casadical.measurements.table_form import decoded
@@ -151,3 +152,9 @@ def test_two_files_are_joined_by_their_numbers_or_put_below_each_other(tmp_path:
     both = joined([one, other]).frame
     assert both[["q1_deg", "x_mm"]].astype(float).to_numpy().tolist() == [[10, 100], [20, 200], [30, 300]]
     assert joined([one, one]).frame["q1_deg"].astype(float).tolist() == [10, 20, 30, 10, 20, 30]
+
+
+def test_columns_of_an_array_have_its_name_or_a_number() -> None:
+    assert [*_columns("alpha", np.arange(4.0))] == ["alpha"]
+    assert [*_columns("", np.arange(4.0))] == ["column 1"]
+    assert [*_columns("", np.zeros((4, 2)))] == ["column 1", "column 2"]

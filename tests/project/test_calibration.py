@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
+import arms
 import users
 
 from casadical import Calibration, InputError, calibrate, read_problem, read_robot, report
@@ -21,7 +22,7 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.identification import errors, residual_mm
 from casadical.identification.accuracy import Accuracy
 from casadical.project.calibration import accuracy_without_prior
-from casadical.project.calibration_page import residual_localisation
+from casadical.project.calibration_page import _errors_of, residual_localisation
 from casadical.project.new import new_problem
 from casadical.project.outcome import changed_readings, report_blocks
 from casadical.project.planning import declared_kinds_and_noise
@@ -258,3 +259,11 @@ def test_a_robot_that_is_as_its_drawing_needs_no_calibration(tmp_path: Path) -> 
     said = " ".join(plain_text(calibrate(tmp_path).brief()).split())
     assert "only the frames were found, and nominal and calibrated robot are equally good to within" in said
     assert "keep the nominal robot" not in said
+
+
+def test_errors_have_directions_where_positions_were_measured() -> None:
+    arm = arms.six_axis()
+    q = arms.readings(arm, 5, 0)
+    placed, ball = arms.positions(arm, q, 1), arms.distances(arm, q, np.ones(3), 1)
+    assert _errors_of("before", arm, placed).vector.shape == (5, 3)
+    assert _errors_of("before", arm, ball).vector is None

@@ -133,3 +133,10 @@ def test_a_joint_is_coupled_to_another_one_of_the_wrist():
     drawn = [engine.draw_effect(machine, "joint_coupling", rng) for _ in range(40)]
     assert {hidden.joint for hidden in drawn} == {4, 5, 6}
     assert all(hidden.size["source"] in {4, 5, 6} - {hidden.joint} for hidden in drawn)
+
+
+@pytest.mark.parametrize("effect", ["tight_cable", "joint_coupling", "gear_eccentricity", "encoder_pit"])
+def test_errors_of_joints_are_fractions_of_a_milliradian(effect: str) -> None:
+    machine, rng = nominal("ur10e"), np.random.default_rng(0)
+    sizes = [abs(engine.draw_effect(machine, effect, rng).size["size"]) for _ in range(30)]
+    assert 1e-5 < np.median(sizes) < 1e-3

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,6 +21,7 @@ from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.new import as_built
 from casadical.project.problem import read_problem
+from casadical.project.robot_columns import poses_in_words
 from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[3]
@@ -211,3 +213,10 @@ def test_a_simulated_robot_departs_from_nominal_to_either_side() -> None:
     off = [[(r.parameters[p.name].value - p.value) / sigma[p.unit] for p in chosen] for r in built]
     assert np.abs(np.mean(off)) < 0.1
     assert np.std(off) == pytest.approx(1.0, abs=0.1)
+
+
+def test_it_is_told_where_a_camera_is_and_which_way_poses_go() -> None:
+    m = arms.poses(arms.six_axis(), arms.readings(arms.six_axis(), 4, 0), 1)
+    assert poses_in_words(replace(m, kind="position", orientation=None)) == ""
+    assert poses_in_words(replace(m, camera="to base")).startswith("Poses as they are: the camera stands still")
+    assert poses_in_words(replace(m, inverted=True)).startswith("Each pose is inverted")
