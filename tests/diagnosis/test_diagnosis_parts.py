@@ -299,3 +299,11 @@ def test_a_prior_of_correlated_parameters_is_one_of_independent_units() -> None:
     expected[np.ix_([1, 3], [1, 3])] = C
     assert_allclose(spread, expected, rtol=1e-9, atol=1e-25)
     assert_allclose(found.base.J, case.whole.J @ found.units, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [("the base moved", "The base moved."), ("it moved (a)", "It moved (a)"), ("x_mm drifts.", "x_mm drifts.")],
+)
+def test_a_statement_is_a_sentence_with_one_full_stop(text: str, sentence: str) -> None:
+    assert Statement.sentence.fget(SimpleNamespace(about="", text=text)) == sentence

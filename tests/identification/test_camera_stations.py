@@ -52,6 +52,9 @@ def test_of_a_nominal_arm_stations_are_planned_from_a_view() -> None:
     assert "simulated stations" in planned[0].blocks()[0].text
     coupled = replace(robot, joints=(*robot.joints[:5], replace(robot.joints[5], coupling=Coupling(((4, 0.5),), 0.1))))
     found = simulated_stations(coupled, view)
+    m = found.problem.sets[0]
+    turned = np.linalg.norm(m.orientation - np.diag([1.0, -1.0, -1.0]), axis=(1, 2))
+    assert turned.min() < 0.02  # the camera stands straight before the board at one station
     for q in (found.problem.sets[0].q, camera_stations(found, 12, view=view).q):
         np.testing.assert_allclose(q[:, 5], 0.1 + 0.5 * q[:, 3])
     for wrong in ("0.5,0.3,20,45", "0.3,0.9,20", "a,b,c,d"):

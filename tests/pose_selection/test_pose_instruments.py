@@ -1,5 +1,6 @@
 """Plans for wires and sockets: what they promise against identifications, where anchors go, and the command."""
 
+import inspect
 import json
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from casadical.pose_selection import Noise, Workspace, forecast, place_instrumen
 from casadical.pose_selection.candidates import SOCKET_COLUMN, expected, poses_at_places, reachable_places
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places
 from casadical.pose_selection.pose_search import select_poses, select_with_places
+from casadical.project.planning import Places
 
 SIGMA = 5e-5
 ANCHORS = np.array([[1.8, 0.3, 0.0], [-0.9, 1.6, 1.2], [-0.6, -1.7, 0.6]])
@@ -193,3 +195,9 @@ def test_a_socket_out_of_reach_is_named_with_its_place(robot) -> None:
     far = np.array([[5.0, 0.25, 0.1], [6.0, 0.0, 0.0]])
     with pytest.raises(InputError, match=r"reaches 0 of 2 sockets, and 1 .* socket 1 at \(5000, 250, 100\) mm"):
         reachable_places(robot, far, 1, Workspace(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("kind", ["wires", "sockets"])
+def test_places_that_nobody_says_to_measure_are_unknown(kind: str) -> None:
+    given = inspect.signature(select_with_places).parameters["surveyed"].default
+    assert Places(kind, 3).surveyed is given is False

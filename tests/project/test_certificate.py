@@ -55,7 +55,12 @@ def test_the_command_writes_two_pages_with_fields_as_text(results, tmp_path, mon
     out, kept = tmp_path / "cert.pdf", tmp_path / "cert.json"
     options = ("--details", given, "--problem", PLANAR, "--out", out, "--json", kept)
     assert main(monkeypatch, "certificate", results, *options) == 0
-    assert "CONFORMS" in capfd.readouterr().out
+    printed = capfd.readouterr().out
+    assert "CONFORMS" in printed
+    assert "the whole budget" not in printed
+    for kept_too in ((), ("--json", tmp_path / "budget.json")):
+        assert main(monkeypatch, "certificate", results, "--problem", PLANAR, *kept_too) == 0
+        assert ("the whole budget: --out FILE.pdf" in capfd.readouterr().out) is (not kept_too)
     pdf = out.read_bytes()
     assert len(re.findall(rb"/Type /Page\b", pdf)) == 2
     text = text_of(pdf)

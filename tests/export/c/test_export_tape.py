@@ -1,5 +1,6 @@
 """Tapes, their arithmetic in NumPy against NumPy's own functions, and their interval bounds."""
 
+import inspect
 from typing import Any
 
 import casadi as ca
@@ -13,8 +14,9 @@ from casadical.export.c.chord import ORIENTATION_LENGTH_M, residual
 from casadical.export.c.products import Command, mapped
 from casadical.export.c.reference import NumpyFunctions, run
 from casadical.export.c.tape import Node, Tape, tape_of
-from casadical.export.c.tape_program import bounds, tape_program, without_needless_guards
+from casadical.export.c.tape_program import _INTERVAL_RULES, bounds, tape_program, without_needless_guards
 from casadical.export.c.write import accuracy
+from casadical.export.controller.commands import export_c
 
 REALS = ("float", "double")
 TYPE = {"float": np.float32, "double": np.float64}
@@ -229,3 +231,20 @@ def test_the_residual_of_a_pose_is_the_way_and_the_turn_to_it() -> None:
     target = np.concatenate([p, (Rotation.from_rotvec(turn) * R).as_matrix().ravel(order="F")])
     found = ca.Function("r", [], [residual(ca.SX(target), ca.SX(now))])()["o0"].full().ravel()
     np.testing.assert_allclose(found, [*p, *(ORIENTATION_LENGTH_M * turn)], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("name", "of"),
+    [("add", np.add), ("sub", np.subtract), ("div", np.divide), ("fmin", np.minimum), ("fmax", np.maximum)],
+)
+def test_an_interval_is_that_of_its_corners(name: str, of: Any) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        a, b = np.sort(rng.normal(size=2)), np.sort(rng.uniform(0.5, 2.0, 2))
+        corners = of(a[:, None], b)
+        assert _INTERVAL_RULES[name](tuple(a), tuple(b)) == pytest.approx((corners.min(), corners.max()))
+
+
+def test_a_correction_has_as_many_steps_as_the_command_writes() -> None:
+    command = Command(models.nominal(), models.calibrated(), models.LOWER, models.UPPER)
+    assert command.steps == inspect.signature(export_c).parameters["steps"].default
