@@ -7,7 +7,7 @@ import pytest
 from command_line import ROOT, run
 
 from casadical import InputError
-from casadical.cli.outputs import _refuse_unusable
+from casadical.cli.outputs import _is_output, _refuse_unusable
 
 ARM = "problems/hh800/robot.toml"
 TABLE = "data/campaigns/practice/ur10e-P03.csv"
@@ -105,3 +105,10 @@ def test_a_device_is_no_input() -> None:
         with pytest.raises(InputError, match="/dev/zero: is a device; name a file"):
             _refuse_unusable({"data": paths}, ())
         _refuse_unusable({"data": paths}, ("data",))
+
+
+@pytest.mark.parametrize(
+    ("text", "own"), [("name,value\na,1", True), ("q1_deg,x_mm,y_mm\n1,2,3", False), ("one column\n1", False)]
+)
+def test_a_table_is_an_output_of_ours_unless_it_holds_measurements(text: str, own: bool) -> None:
+    assert _is_output(Path("a.csv"), text) is own

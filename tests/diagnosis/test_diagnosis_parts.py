@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -307,3 +307,15 @@ def test_a_prior_of_correlated_parameters_is_one_of_independent_units() -> None:
 )
 def test_a_statement_is_a_sentence_with_one_full_stop(text: str, sentence: str) -> None:
     assert Statement.sentence.fget(SimpleNamespace(about="", text=text)) == sentence
+
+
+def test_every_kind_of_event_is_a_candidate_at_the_time_of_another() -> None:
+    @dataclass(frozen=True)
+    class Event:
+        at: float = 0.0
+
+    tried: list[tuple[str, object]] = []
+    case = SimpleNamespace(columns={}, candidates=[SimpleNamespace(label="jump", variants=[(Event(),)])])
+    case.with_variants = lambda label, variants: tried.append((label, variants)) or case
+    assert Case.with_events_at(case, None) is Case.with_events_at(case, 3.0) is case
+    assert tried == [("jump", [(Event(3.0),)])]

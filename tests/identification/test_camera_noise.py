@@ -14,7 +14,7 @@ from casadical.core.parts import Joint, Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.identification.pose_errors import image_plane
-from casadical.measurements.camera_noise import CameraNoise, lines_of_sight, refined, whitening
+from casadical.measurements.camera_noise import CameraNoise, View, lines_of_sight, moved_by_errors, refined, whitening
 from casadical.robot.robot import Robot
 
 MIDDLE = np.array([0.12, 0.08, 0.0])
@@ -116,3 +116,13 @@ def test_arrows_in_the_image_are_the_errors_across_the_view() -> None:
     np.testing.assert_allclose(np.column_stack([line.x, line.y])[::3], at, atol=1e-6)
     arrows = np.array([2e-3, -1e-3]) / t[:, 2:]
     np.testing.assert_allclose(np.column_stack([ends.x, ends.y]), at + factor * arrows, atol=1e-5)
+
+
+def test_a_wrong_tilt_turns_a_board_by_its_obliqueness_about_the_axis_that_shows_it() -> None:
+    t, R = target_poses(20, np.random.default_rng(0))
+    turn = moved_by_errors(View(t, R, "in hand", None), MIDDLE)[:, 3:, 1]
+    middle = t + R @ MIDDLE
+    line, normal = middle / np.linalg.norm(middle, axis=1)[:, None], R[:, :, 2]
+    cosine = np.einsum("ni,ni->n", line, normal)
+    np.testing.assert_allclose(np.linalg.norm(turn, axis=1), np.sqrt(1 / cosine**2 - 1), rtol=1e-9)
+    np.testing.assert_allclose(np.einsum("nk,nki->ni", turn, np.stack([line, normal], axis=2)), 0.0, atol=1e-12)

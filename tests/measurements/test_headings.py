@@ -165,3 +165,23 @@ def test_a_heading_with_a_joints_name_leaves_the_words_that_mean_nothing() -> No
     for filler in sorted(WORDS["filler"] | WORDS["joint"]):
         words = ["shoulder", "wibble", filler]
         assert _meaning(words, {*words}, [(["shoulder"], "2")]) == ("joint", "2", {"by name", "wibble"})
+
+
+ANGLES = "J1 [deg],X [mm],Y [mm],Z [mm],Roll [deg],Pitch [deg],Yaw [deg]"
+
+
+@pytest.mark.parametrize(("kind", "turned"), [(None, True), ("pose", True), ("position", False)])
+def test_angles_are_read_unless_positions_alone_are_declared(kind: str | None, turned: bool, tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).uniform(-40, 40, (8, 7)) + np.array([0, 500, 0, 300, 0, 0, 0])
+    (tmp_path / "a.csv").write_text("\n".join([ANGLES, *(",".join(f"{v:.3f}" for v in row) for row in rows)]))
+    found = understand(read_table(tmp_path / "a.csv"), ["revolute"], kind=kind)
+    ways = [found.columns, *(way for question in found.questions for way in question.choices.values())]
+    assert any(c.source.name == "Roll [deg]" for way in ways for c in way) is turned
+
+
+def test_a_length_of_a_wire_is_what_was_measured(tmp_path: Path) -> None:
+    rows = "\n".join(f"{10 * k},{500 + 7 * k}" for k in range(8))
+    (tmp_path / "a.csv").write_text(f"J1 [deg],Distance [mm]\n{rows}\n")
+    found = understand(read_table(tmp_path / "a.csv"), ["revolute"])
+    ways = [found.columns, *(way for question in found.questions for way in question.choices.values())]
+    assert any(c.source.name == "Distance [mm]" for way in ways for c in way)

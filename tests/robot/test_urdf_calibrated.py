@@ -8,10 +8,11 @@ import pandas as pd
 import pytest
 from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, robot
 
+from casadical import Joint, Robot
 from casadical.core.basics import InputError
 from casadical.identification.identification import identify
 from casadical.measurements.reading import from_table
-from casadical.robot.urdf import calibrated_urdf_text, read_urdf
+from casadical.robot.urdf import calibrated_urdf_text, new_urdf, read_urdf
 
 
 def perturbed(arm, seed, groups=("base", "geometry", "tool")):
@@ -140,3 +141,10 @@ def test_another_robot_is_refused(tmp_path):
     with pytest.raises(InputError, match="6 joints in the chain, 5 in robot"):
         calibrated_urdf(replace(arm, joints=arm.joints[:5]), arm, path, out)
     assert not out.exists()
+
+
+@pytest.mark.parametrize("compliance", [None, 1e-6])
+def test_a_new_urdf_says_which_springs_it_lacks(compliance: float | None) -> None:
+    arm = Robot("arm", (Joint(), Joint(a=0.5, compliance=compliance)))
+    said = "The springs of joints 2 have no place in a URDF: the arm is rigid here."
+    assert (said in new_urdf(arm)) is bool(compliance)
