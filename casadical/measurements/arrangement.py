@@ -37,7 +37,7 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
     groups = [g for g in position_groups(raw) if not {h.name for h in g} & {*given}]
     points = [np.column_stack([h.values for h in g]) for g in groups]
     # A rounded copy of a point is none of its own.
-    whole = [k for k, a in enumerate(points) if not any(a is not b and _rounds(a, b) for b in points)]
+    whole = [k for k, a in enumerate(points) if not any(_rounds(a, b) for b in points if b is not a)]
     groups, points = [groups[k] for k in whole], [points[k] for k in whole]
     best: tuple[int, ...] = ()
     pairs = {pair for pair in combinations(range(len(groups)), 2) if _rigid(points[pair[0]], points[pair[1]])}
@@ -59,7 +59,8 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
         own = {}
         for h in part:
             unit = h.unit or units.get(h.name, "")
-            own[f"{'rotation' if h.quantity == 'turn' else 'point'} {h.slot}{f' [{unit}]' * bool(unit)}"] = h.values
+            what = "rotation" if h.quantity == "turn" else "point"
+            own[f"{what} {h.slot}{f' [{unit}]' * bool(unit)}"] = h.values
         seen = np.isfinite(points[k]).any(axis=1)
         parts.append(others.assign(**own, tool=name, **{"row of the file": raw.line})[seen])
     table = pd.concat(parts).sort_values("row of the file", kind="stable")

@@ -550,10 +550,10 @@ def in_seconds(cells: pd.Series) -> Array:
 
 
 def seconds_of_one(times: Array, unit: str) -> float:
-    """Return the unit of times in seconds: by its word, else by the size that stamps since 1970 have."""
+    """Return the unit of times in seconds: by its word, else by the size of stamps since 1970."""
     size = float(np.median(np.abs(times)))
     stamps = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6))
-    return UNITS[unit][1] if unit else next((factor for most, factor in stamps if size < most), 1e-9)
+    return UNITS[unit][1] if unit else next((f for most, f in stamps if size < most), 1e-9)
 
 
 def _cell(text: object) -> str:

@@ -176,8 +176,8 @@ def understand(
         groups = _joints(headings, len(chain), open_joints, _names_in_cells(raw, [j.name for j in chain]), own)
         unknown = not (groups or own)  # where some readings are named, the others are missing
         if unknown:
-            largest = MAX_TURNS * 360  # of a reading of a revolute joint [deg]
-            some = [g for g in numbered(raw, len(free), taken) if np.max(np.abs(finite_rows(g)), initial=0) <= largest]
+            some = numbered(raw, len(free), taken)
+            some = [g for g in some if np.abs(finite_rows(g)).max(initial=0) <= 360 * MAX_TURNS]
             groups = [dict(zip(free, g, strict=True)) for g in some]
         text = "Are these the joint readings?" if unknown else "Which columns are the joint readings?"
         decide([(_listed(g.values()), _parts_of(g, chain)) for g in groups], text, layout, unknown)
@@ -240,7 +240,7 @@ def _times(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Under
     if "time_s" in ours or len(whole) != 1 or len(fine) > 1:
         return
     factor = seconds_of_one(whole[0].values, whole[0].unit)
-    if float(np.median(np.abs(whole[0].values))) * factor < 1e10:  # later than the year 2286 is no time stamp [s]
+    if np.median(np.abs(whole[0].values)) * factor < 1e10:  # [s]; the year 2286 and later is no time stamp
         add = {h.name: 1e-9 for h in fine if h is not whole[0]}
         yield Understood("time_s", Source(whole[0].name, factor, add=add), whole[0].unit or "s", "heading")
 
@@ -461,7 +461,7 @@ def _matrices(columns: Sequence[Heading]) -> list[tuple[str, _Parts]]:
     for words, rotation, position, last in forms:
         R, p = [columns[k] for k in rotation], [columns[k] for k in position]
         constant = finite_rows([columns[k] for k in last]) if last else np.zeros((1, 0))
-        if (np.abs(constant - [0, 0, 0, 1][4 - len(last) :]) < 1e-9).all() and len(finite_rows(R)) and is_rotation(R):
+        if (np.abs(constant - [0, 0, 0, 1][4 - len(last) :]) < 1e-9).all() and is_rotation(R):
             label = f"{words}: {columns[0].name} to {columns[-1].name}"
             found.append((label, [(p, "xyz", "length"), (R, *_ORIENTATION_FORMS["a matrix, row by row"])]))
     return found

@@ -41,10 +41,8 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
     found = _by_model(raw, robot, given, understand(raw, robot.joints, given, kind=kind)).in_usual_order
     if not (raw.form.header_line or found.questions):  # the columns that are left may be an orientation
         more = understand(raw, robot.joints, {**found.sources, **given}, kind=kind)
-        found = _by_model(
-            raw, robot, given, replace(found, columns=(*found.columns, *more.columns), questions=more.questions)
-        )
-        found = replace(found, questions=())
+        whole = Understanding((*found.columns, *more.columns), more.questions)
+        found = replace(_by_model(raw, robot, given, whole), questions=())
     return _without_other_frame(raw, robot, given, _measured_instead(raw, robot, given, found))
 
 
@@ -126,7 +124,8 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
     for k, question in enumerate(questions):
         lengths = [c for c in question.choices if len(question.choices[c]) == 1]
         if question.about == "observation" and lengths and copied:
-            found = found.answered(question, lengths[0], "the coordinates are computed, as the nominal robot has them")
+            why = "the coordinates are computed, as the nominal robot has them"
+            found = found.answered(question, lengths[0], why)
             continue
         layout = question.about in ("layout", "order")
         # Coordinates that a controller computed fit best, but were not measured.
@@ -136,7 +135,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
         if not order:
             continue
         best, other = order[0], next((c for c in order if c[k] != order[0][k]), None)
-        # Choices that could not be read speak against the others only where columns have no headings.
+        # Without headings, choices that cannot be read use a column twice: they are refuted.
         unread = len(errors) < len(question.choices) and other is None and not layout
         least, second = (_total(robot, errors[c]) if c else np.inf for c in (best, other))
         allowed = bound if other or layout else 0.02

@@ -375,8 +375,8 @@ def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
     # The entries of a rotation matrix are one row of the table.
     entries = [row for row in rows if re.fullmatch("R[012]{2}", row[0])]
     if entries:
-        names = f"{entries[0][1]} to {entries[-1][1]}"
-        rows = [*(row for row in rows if row not in entries), ("R00 to R22", names, "", *entries[0][3:])]
+        whole = ("R00 to R22", f"{entries[0][1]} to {entries[-1][1]}", *entries[0][2:])
+        rows = [row for row in rows if row not in entries] + [whole]
     title = f"{raw.path.name}: {raw.form.words}{f'; kind {kind.name}' if kind else ''}"
     table = Table(title, ("casadical", "file", "unit", "first row", "known"), rows)
     return [table, *([Words(f"Not used: {', '.join(unused)}.", "note")] if unused else [])]
