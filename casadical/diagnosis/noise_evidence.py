@@ -29,6 +29,8 @@ class Form:
         the order of measuring, shape (n, numbers); None for none
     scale : factor on the noise of each pose, in the order of measuring, shape (n,), or on the
         instrument's noise of each number, shape (n, 3); None for ones
+    axes : rotation of each pose's numbers into the axes of `scale`, in the order of measuring,
+        shape (n, 3, 3), in models without candidates; None for x, y and z
     log_weight : term added to log likelihoods: log prior and log determinant of the prewhitening
     """
 
@@ -37,6 +39,7 @@ class Form:
     repeatability_factor: float = 1.0
     lags: Array | None = None
     scale: Array | None = None
+    axes: Array | None = None
     log_weight: float = 0.0
 
     def serial(self, poses: int) -> SerialNoise:
@@ -76,6 +79,9 @@ def prewhitened(e: Evidence, form: Form, order: Array) -> Evidence:
     order : indices of the poses in the order of measuring, shape (n,)
     """
     own, noise = e.at(order), form.serial(len(order))
+    if form.axes is not None:
+        r = (form.axes @ own.r[:, :, None])[:, :, 0]
+        own = replace(own, r=r, J=form.axes @ own.J, Jq=form.axes @ own.Jq)
     E = serial_columns(e.E, order, noise)
     return replace(own, r=noise.whiten(own.r), J=noise.whiten(own.J), Jq=form.repeatability(own.Jq), E=E)
 

@@ -18,7 +18,7 @@ from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import RHO_GRID
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_evidence import Form, Problem
+from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, Problem
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
@@ -34,8 +34,13 @@ RANDOM_LAG = "readings that lag behind the last motion"
 LAG_SHARES = (5.0, 20.0, 80.0)
 # Beginning of the label of a joint that repeats worse than the others.
 NOISY_JOINT = "poor repeatability of joint "
-# Label of noise of the instrument that is larger along some axes of its frame than along others.
-UNEQUAL_AXES = "noise that is unequal along x, y and z"
+# Labels of noise of the instrument that is larger along some axes than along others: those of its
+# frame, any fixed ones, or the line of sight from its own place and the two across it.
+UNEQUAL_AXES = (
+    "noise that is unequal along x, y and z",
+    "noise that is unequal along the instrument's own axes",
+    "noise that is unequal along and across the line of sight",
+)
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
@@ -62,7 +67,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     plain = none = float(np.log(prior["none"]))
     noise_form = ""
     if len(chosen):
-        noise = (AR_NOISE, HEAVY_TAILS, UNEQUAL_AXES, *(noisy_joint_label(j) for j in joints if j))
+        noise = (AR_NOISE, HEAVY_TAILS, *UNEQUAL_AXES, *(noisy_joint_label(j) for j in joints if j))
         own = {label: mass.pop(label) for label in noise if label in mass}
         none = float(np.logaddexp.reduce(np.array([plain, *own.values()])))
         best = best_of(own, own.__getitem__, logs=True)
@@ -101,8 +106,10 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         numbers = e.count / len(e.r)
         kinds += [(AR_NOISE, [ar_form(share, len(e.r), numbers) for share in SETTINGS.ar_coefficients], 1)]
         kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
-    if case.vectors is not None and (axes := unequal_form(problem)):
-        kinds.append((UNEQUAL_AXES, [axes], 1))
+    if case.vectors is not None:
+        unequal = unequal_forms(problem, case.positions[case.inliers][case.order])
+        named = zip(UNEQUAL_AXES, unequal, strict=True)
+        kinds += [(label, [form], len(unequal)) for label, form in named if form]
     if case.lags is not None:
         kinds.append((RANDOM_LAG, lag_forms(case), 1))
     kinds += [
@@ -192,21 +199,44 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
     return (form, noise, gain) if moved and gain >= SETTINGS.min_ar_log_gain else None
 
 
-def unequal_form(problem: Problem) -> Form | None:
-    """Return a form of noise whose size along x, y and z is that of the residual.
+def unequal_forms(problem: Problem, places: Array) -> list[Form | None]:
+    """Return a form of noise that is unequal along each of `UNEQUAL_AXES`, None where none can win.
 
-    None unless a pose has three numbers. The two ratios together cost the log of the pose count.
+    Its sizes are those of the residual. The logarithm of the pose count is paid for two of its
+    numbers each: the ratios of the sizes, and the rotation of axes that nothing determines.
+    places : point of each pose in the instrument's frame [m], in the order of measuring, (n, 3)
     """
-    n, times = len(problem.e.r), np.ones(3)
+    n = len(problem.e.r)
     if problem.e.r.shape[1] != 3:
-        return None
-    for _ in range(3):
-        form = Form(scale=np.tile(times, (n, 1)), log_weight=-float(np.log(n)))
-        noise = likely_noise(problem.log_likelihood(form), problem.e.sigmas)
-        rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
-        times = times * np.sqrt((problem.residual(form, rho) ** 2).mean(axis=0))
-        times = times / np.exp(np.log(times).mean())
-    return form
+        return [None] * len(UNEQUAL_AXES)
+    residual = _likely_residual(problem, WHITE_FORM)
+    own = np.linalg.eigh(residual.T @ residual)[1].T
+    sight = places / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-9)
+    level = np.cross([0.0, 0.0, 1.0], sight)
+    level /= np.maximum(np.linalg.norm(level, axis=1, keepdims=True), 1e-9)
+    along = np.stack([sight, level, np.cross(sight, level)], axis=1)
+    forms: list[Form | None] = []
+    for axes, numbers in ((None, 2), (np.tile(own, (n, 1, 1)), 5), (along, 2)):
+        turned = residual if axes is None else np.einsum("nij,nj->ni", axes, residual)
+        square, cost = (turned**2).mean(axis=0), 0.5 * numbers * np.log(n)
+        gain = 0.5 * n * (3 * np.log(square.mean()) - np.log(square).sum())
+        form = Form(axes=axes)
+        for _ in range(3 if gain > cost else 0):
+            times = np.sqrt(square) if form.scale is None else form.scale[0] * np.sqrt(square)
+            times /= np.exp(np.log(times).mean())
+            form = replace(form, scale=np.tile(times, (n, 1)), log_weight=-float(cost))
+            square = (_likely_residual(problem, form) ** 2).mean(axis=0)
+        forms.append(form if gain > cost else None)
+    return forms
+
+
+def _likely_residual(problem: Problem, form: Form) -> Array:
+    """Return the whitened residual under the likeliest noise of a form, shape (n, 3) [m]."""
+    white = form is WHITE_FORM
+    grid = problem.e.log_base(problem.chosen) if white else problem.log_likelihood(form)
+    noise = likely_noise(grid, problem.e.sigmas)
+    rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
+    return problem.residual(form, rho)
 
 
 def heavy_tailed_form(problem: Problem) -> Form | None:
@@ -217,12 +247,12 @@ def heavy_tailed_form(problem: Problem) -> Form | None:
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
     share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor
     log_odds = np.log(share / (1 - share)) - numbers * np.log(factor)
-    times, form = np.ones(n), Form()
+    times, form = np.ones(n), WHITE_FORM
     grid = problem.e.log_base(problem.chosen)
     for _ in range(3):
         noise = likely_noise(grid, problem.e.sigmas)
-        rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
-        square = ((problem.residual(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
+        unscaled = _likely_residual(problem, form) * times[:, None]
+        square = (unscaled**2).sum(axis=1) / noise.sigma**2
         before, times = times, np.where(log_odds + 0.5 * square * (1 - factor**-2) > 0, factor, 1.0)
         if np.array_equal(before, times):
             break

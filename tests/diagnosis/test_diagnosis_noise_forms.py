@@ -19,7 +19,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
 from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
-from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noisy_joint, unequal_form
+from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noisy_joint, unequal_forms
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import _WhitenedResidual
 from casadical.diagnosis.text import as_json, page_of
@@ -112,20 +112,42 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
 
 
-def test_noise_that_is_unequal_along_the_axes_is_judged_by_its_covariance(columns: int) -> None:
-    at, e, times = 12, small(40), np.array([0.5, 0.5, 4.0])
-    r = SIGMA_GRID_M[at] * times * np.random.default_rng(1).standard_normal((40, 3))
+AXES = {"x, y and z": 0, "fixed axes": 1, "line of sight": 2}
+
+
+@pytest.mark.parametrize("which", AXES.values(), ids=AXES)
+def test_noise_that_is_unequal_along_some_axes_is_judged_by_its_covariance(which: int, columns: int) -> None:
+    at, e, times, rng = 12, small(40), np.array([4.0, 0.5, 0.5]), np.random.default_rng(1)
+    places = rng.uniform(1, 3, (40, 3)) * rng.choice([-1, 1], (40, 3))
+    sight = places / np.linalg.norm(places, axis=1, keepdims=True)
+    first = (np.eye(3)[:1], np.array([[0.6, 0.0, 0.8]]), sight)[which]  # along which it is worse
+    white = SIGMA_GRID_M[at] * times[1] * rng.standard_normal((40, 3))
+    r = white + (times[0] / times[1] - 1) * (white * first).sum(axis=1, keepdims=True) * first
     p = problem(replace(e, r=r), columns=columns)
-    far, found = with_causes(p), unequal_form(p)
+    far, every = with_causes(p), unequal_forms(p, places)
+    found = every[which]
+    if columns == 40:  # a fit with as many columns as numbers leaves no residual to be unequal
+        return
     assert found is not None
     assert found.scale is not None
     own = found.scale[0]
-    if columns < 40:  # with fewer columns than numbers the ratios are those of the noise
-        assert own / own[0] == pytest.approx(times / times[0], rel=0.4)
-    scaled = replace(far, r=far.r / own, J=far.J / own[:, None], Jq=far.Jq / own[:, None])
+    R = np.tile(np.eye(3), (40, 1, 1)) if found.axes is None else found.axes
+    assert (np.abs((R[:, own.argmax()] * first).sum(axis=1)) > 0.95).all()  # the worst axis is the true one
+    assert own.max() / np.sort(own)[1] > 0.5 * times[0] / times[1]
+    logs = [-np.inf if f is None else p.log_likelihood(f).max() for f in every]
+    assert np.argmax(logs) == which
+    turned = replace(far, r=np.einsum("nij,nj->ni", R, far.r), J=R @ far.J, Jq=R @ far.Jq)
+    scaled = replace(turned, r=turned.r / own, J=turned.J / own[:, None], Jq=turned.Jq / own[:, None])
     plain = far.log_base()[3, at] - density(far, 3, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
-    exact = density(scaled, 3, SIGMA_GRID_M[at], np.eye(40), np.ones(6)) - 40 * np.log(own).sum() - np.log(40)
+    paid = 40 * np.log(own).sum() + 0.5 * (2, 5, 2)[which] * np.log(40)
+    exact = density(scaled, 3, SIGMA_GRID_M[at], np.eye(40), np.ones(6)) - paid
     assert p.log_likelihood(found)[3, at] - exact == pytest.approx(plain, abs=1e-5)
+
+
+def test_noise_of_one_size_is_unequal_along_no_axes() -> None:
+    e, rng = small(40), np.random.default_rng(2)
+    r = SIGMA_GRID_M[12] * rng.standard_normal((40, 3))
+    assert unequal_forms(problem(replace(e, r=r)), rng.uniform(1, 3, (40, 3))) == [None, None, None]
 
 
 def test_sums_in_parts_are_those_of_all_poses() -> None:
