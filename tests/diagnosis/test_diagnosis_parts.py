@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import islice
 from types import SimpleNamespace
 from typing import Any
 
+import arms
 import numpy as np
 import pytest
 from cases import ROOT, diagnose, planar, robot, small_problem
@@ -35,6 +37,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, p
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import Statement, statements
+from casadical.diagnosis.structure import _drivers
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
@@ -319,3 +322,13 @@ def test_every_kind_of_event_is_a_candidate_at_the_time_of_another() -> None:
     case.with_variants = lambda label, variants: tried.append((label, variants)) or case
     assert Case.with_events_at(case, None) is Case.with_events_at(case, 3.0) is case
     assert tried == [("jump", [(Event(3.0),)])]
+
+
+def test_sums_and_differences_of_joints_drive_by_the_same_harmonics() -> None:
+    arm = arms.six_axis()
+    m = replace(arms.positions(arm, arms.readings(arm, 9, 0), 1), conditions={"progress": np.linspace(0, 1, 9)})
+    found = dict(islice(_drivers(arm, m, m.position), 6 + 2 * 15))  # one joint, and two
+    for sign, word in ((1, "+"), (-1, "-")):
+        angle = (m.q[:, 0] + sign * m.q[:, 1])[:, None] * np.arange(1, SETTINGS.max_joint_harmonic + 1)
+        waves = np.sort(np.hstack([np.sin(angle), np.cos(angle)]), axis=1)
+        np.testing.assert_allclose(np.sort(found[f"q1 {word} q2"], axis=1), waves, atol=1e-12)

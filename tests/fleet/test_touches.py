@@ -11,11 +11,12 @@ import pandas as pd
 import pytest
 from arms import NOISE, positions, six_axis
 from command_line import main
+from scipy.stats import chi2
 
 from casadical import InputError, Placement, Robot, identify, read_robot, write_robot
 from casadical.core.reporting.figure import Figure
 from casadical.core.transforms import frame, from_rpy
-from casadical.fleet.touch_model import CHANGE_FREQUENCY
+from casadical.fleet.touch_model import CHANGE_FREQUENCY, TouchModel
 from casadical.fleet.touches import Touches, _widened_remaining, changes_in_fleet, judge_touches, plan_touches
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
@@ -208,6 +209,22 @@ def test_what_a_correction_does_not_know_is_added_to_the_remaining_errors() -> N
     expected[np.ix_([2, 0], [2, 0])] += root @ root.T * np.outer(scale, scale)
     np.testing.assert_allclose(after.factor @ after.factor.T, expected, rtol=1e-9, atol=1e-22)
     assert _widened_remaining(None, ["a"], root, scale) is None
+
+
+def test_the_touches_that_are_told_are_those_of_the_last_day() -> None:
+    (key,) = [key for key in Touches.derived if key.name == "touches"]
+    assert key.of(SimpleNamespace(model=SimpleNamespace(days=[[1, 2, 3], [1, 2]]))) == 2
+
+
+def test_levels_of_noise_weigh_as_the_days_before_say() -> None:
+    rng, day = np.random.default_rng(0), np.repeat([1, 2, 3], 4)
+    terms = [(0.0, None, rng.normal(size=12) * scale, rng.normal(size=12) - np.log(scale)) for scale in (1.0, 1.5)]
+    chart = TouchModel.control_chart(SimpleNamespace(day=day, likelihood_terms=terms))
+    for k in (1, 2, 3):
+        before = np.array([(-0.5 * z**2 - roots)[day < k].sum() for *_, z, roots in terms])
+        weight = np.exp(before - before.max())
+        tails = [chi2.sf((z[day == k] ** 2).sum(), 4) for *_, z, _ in terms]
+        assert chart[k - 1] == pytest.approx(chi2.isf(np.average(tails, weights=weight), 4))
 
 
 def test_bad_touches_are_refused_or_said(place, tmp_path):

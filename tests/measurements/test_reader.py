@@ -158,3 +158,11 @@ def test_columns_of_an_array_have_its_name_or_a_number() -> None:
     assert [*_columns("alpha", np.arange(4.0))] == ["alpha"]
     assert [*_columns("", np.arange(4.0))] == ["column 1"]
     assert [*_columns("", np.zeros((4, 2)))] == ["column 1", "column 2"]
+
+
+def test_two_files_are_joined_by_the_nearest_times(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("time_s,q1_deg\n" + "".join(f"{k}.0,{10 * k}\n" for k in range(1, 6)))
+    (tmp_path / "b.csv").write_text("time_s,x_mm\n" + "".join(f"{0.5 * k + 0.1:.1f},{k}.25\n" for k in range(20)))
+    both = joined([read_table(tmp_path / name) for name in ("a.csv", "b.csv")]).frame
+    assert both["q1_deg"].astype(float).tolist() == [10, 20, 30, 40, 50]
+    assert both["x_mm"].astype(float).tolist() == [2.25, 4.25, 6.25, 8.25, 10.25]

@@ -28,6 +28,7 @@ from casadical.pose_selection.candidates import (
     one_turn,
     timeline,
 )
+from casadical.pose_selection.design_problem import _allowed
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.plan import MeasurementPlan
 from casadical.pose_selection.pose_search import Forecast, select_poses
@@ -177,6 +178,12 @@ def test_six_numbers_of_poses_are_shown_from_the_first_to_the_last() -> None:
     poses = np.arange(10, 41)
     text = plain_text(MeasurementPlan(Forecast(poses, 1e-3 / np.sqrt(poses))).blocks())
     assert re.findall(r"(\d+): 0\.\d{4}", text) == ["10", "16", "22", "28", "34", "40"]
+
+
+def test_candidates_of_another_arm_or_without_numbers_are_refused(robot) -> None:
+    for q in (np.zeros((5, 3)), np.full((5, 6), np.nan), np.zeros((2, 2, 6))):
+        with pytest.raises(InputError, match="candidates of shape"):
+            _allowed(robot, q, Workspace())
 
 
 def test_a_column_that_cannot_be_planned_is_named(robot) -> None:
