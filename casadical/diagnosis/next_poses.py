@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.special import ndtr
 
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import best_of, first_of_best
@@ -325,6 +324,8 @@ def probability_after(share: float, gain: float) -> float:
     share : present probability of the first cause
     gain : expected log Bayes factor for the true cause by the data [nats]
     """
+    from scipy.special import ndtr
+
     if gain <= 0:
         return max(share, 1 - share)
     odds, width = log(share / (1 - share)), sqrt(2 * gain)

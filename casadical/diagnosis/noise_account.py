@@ -6,7 +6,6 @@ from math import floor, log
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy.special import fdtrc
 
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import mm
@@ -259,5 +258,7 @@ def exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
     A tenth is allowed for figures that were rounded.
     above, below : degrees of freedom of the larger and of the smaller one
     """
+    from scipy.special import fdtrc
+
     ratio = larger / (1.1 * smaller)
     return ratio > 1 and bool(fdtrc(min(above, 1e6), min(below, 1e6), ratio**2) < 1e-3)

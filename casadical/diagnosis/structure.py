@@ -18,7 +18,6 @@ from math import lgamma, log
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import gammaincc, log_ndtr
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import axes_of_base
@@ -110,6 +109,8 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     or without positions (`Case.vectors`).
     columns : indices of the causes' columns, shape (k,)
     """
+    from scipy.special import gammaincc
+
     out = ~case.inliers
     if out.sum() < 2 or case.vectors is None:
         return None
@@ -387,6 +388,8 @@ class _WhitenedResidual:
         Neighbours are the nearest pose in joint space, the previous pose and, for one set of
         positions, the nearest point.
         """
+        from scipy.special import log_ndtr
+
         y = self.y.reshape(len(self.squares), -1)
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
         pairs = {

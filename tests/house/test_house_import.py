@@ -42,7 +42,8 @@ def test_the_help_loads_no_solver() -> None:
         ("casadical.compensator", KINEMATICS | {"casadi", "casadical.export"}),
         ("casadical.export", KINEMATICS | {"casadical.compensator"}),
         ("casadical.blind_check.mujoco_physics", KINEMATICS | {"casadi", "casadical.export", "casadical.compensator"}),
-        ("casadical.project.diagnosis", {"scipy.interpolate", "scipy.optimize", "scipy.stats", "lark", "mujoco"}),
+        ("casadical.project.calibration", {"scipy", "lark", "mujoco", "plotly"}),
+        ("casadical.project.diagnosis", {"scipy", "lark", "mujoco", "plotly"}),
     ],
 )
 def test_a_package_loads_nothing_foreign_to_it(package: str, foreign: set[str]) -> None:
