@@ -1,15 +1,17 @@
 """Whether arm, camera or both are wrong, and what moved: planted errors of simulated poses of a board."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from arms import poses, readings, six_axis
 from scipy.spatial.transform import Rotation
 from test_camera_noise import MIDDLE, seen_by_hand
 
 from casadical import Measurements, identify
 from casadical.core.transforms import frame
-from casadical.identification.arm_or_camera import arm_or_camera
+from casadical.identification.arm_or_camera import _Model, arm_or_camera
 from casadical.identification.identification import prepare
 from casadical.robot.robot import Robot
 
@@ -78,3 +80,13 @@ def test_positions_and_few_poses_have_no_answer() -> None:
     assert arm_or_camera(identify(robot, replace(m, camera=""), ["placement"])) is None
     assert arm_or_camera(identify(robot, m[:11], ["kinematic"])) is None
     assert prepare(robot, m).sets[0].noise is None
+
+
+def test_poses_that_tell_nothing_leave_the_prior_probability_of_a_step() -> None:
+    arm = six_axis()
+    m = replace(poses(arm, readings(arm, 14, 0), 1), camera="in hand")
+    frames = 1e-9 * np.random.default_rng(0).normal(size=(84, 12))
+    blind = SimpleNamespace(m=m, drawn=np.ones(2, dtype=bool), widths=np.ones(2))
+    blind.whitened = lambda ratios, sigmas: (np.zeros(84), frames, np.zeros((84, 6)))
+    moved, _ = _Model.step(blind, SimpleNamespace(ratios=None, sigmas=None), np.repeat(["tool", "base"], 6))
+    assert moved.probability == pytest.approx(0.1)

@@ -1,6 +1,7 @@
 """Limits, thresholds and words of an identification, on arms small enough to see what must come out."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import arms
 import numpy as np
@@ -11,10 +12,13 @@ from casadical import Joint, Placement, identify
 from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Law
+from casadical.identification import reduction
 from casadical.identification.fit_statistics import steps_without
+from casadical.identification.identifiability import NO_EFFECT_REASON
 from casadical.identification.identification import prepare
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.plausibility import check_against
+from casadical.identification.prediction import _prior_size_factors
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import explained
 from casadical.identification.solver import bounded_step
@@ -108,6 +112,37 @@ def test_a_choice_of_ones_own_is_no_method_of_the_paper(result) -> None:
     assert result.method == "identify"
     fitted = identify(arms.six_axis(), result.measurements[0], method="KM")
     assert fitted.method == "KM"
+
+
+@pytest.mark.parametrize("lengths", [(), (2.0,), (2.0, 3.0)])
+def test_parameters_that_show_themselves_at_the_optimum_are_added_alone(lengths, monkeypatch) -> None:
+    """Of a and b, which had no effect at the start, beside c: those whose column has a length."""
+    added: list[set[str]] = []
+    seen = np.diag(np.square([*[*lengths, 0.0, 0.0][:2], 5.0]))
+    wider = SimpleNamespace(names=("a", "b", "c"), information=lambda v: seen, decrement=lambda v: 0.0)
+    wider.cost = lambda v: 1.0
+    monkeypatch.setattr(reduction, "_with_added_parameters", lambda p, v, more, order: added.append(more) or (wider, v))
+    monkeypatch.setattr(reduction, "_poorly_determined", lambda *_: [])
+    monkeypatch.setattr(reduction, "variance", lambda *_: 1.0)
+    unseen = [SimpleNamespace(name=name, reason=NO_EFFECT_REASON) for name in "ab"]
+    problem, names = SimpleNamespace(robot=None, weighed=False), ("a", "b", "c")
+    found = reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable=unseen), names)
+    assert (found is None) is (not lengths)
+    assert added == [{"a", "b"}, {"a"}][: 2 if len(lengths) == 1 else 1]
+    assert reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable=[]), names) is None
+
+
+@pytest.mark.parametrize("size", [4.0, 10.0])
+def test_the_data_say_how_many_times_greater_errors_are_than_their_priors(size: float) -> None:
+    arm = arms.six_axis()
+    built = arms.planted(arm, 3, size=size)
+    result = identify(arm, arms.positions(built, arms.readings(arm, 80, 1), 2), ["kinematic"])
+    own = [arm.parameters[name] for name in result.problem.names]
+    factors = _prior_size_factors(result.problem, result.solution.v, result.variance, arm)
+    places = [k for k, p in enumerate(own) if p.group == "geometry"]
+    off = [(built.parameters[own[k].name].value - own[k].value) / own[k].prior for k in places]
+    assert np.ptp(factors[places]) == 0
+    assert factors[places[0]] == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.35)
 
 
 def test_poses_without_outliers_are_all_explained() -> None:
