@@ -44,9 +44,6 @@ INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # of a standard error. A search is slow along what only priors determine, such as the common scale
 # of estimated masses and compliances, or parameters with a prior from another campaign.
 SETTLED_COST_GAIN = 5e-3
-# Gain of one more step [cost] below which a point is an optimum: a ten-thousandth of a standard
-# error.
-SHARP_COST_GAIN = 1e-8
 # Number of free parameters of a problem with priors above which those of effects are not tested
 # for independence.
 MANY_PARAMETERS = 200
@@ -300,7 +297,8 @@ class LeastSquares:
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
-        sharp = solution.status == ACCEPTABLE_STATUS and self.decrement(solution.v) < SHARP_COST_GAIN
+        # An optimum is where one more step gains less than 1e-8: a ten-thousandth of a standard error.
+        sharp = solution.status == ACCEPTABLE_STATUS and self.decrement(solution.v) < 1e-8
         return replace(solution, message=OPTIMUM_MESSAGE) if sharp else solution
 
     def _approached(self, v: Array) -> tuple[Array, tuple[float, ...]]:
@@ -319,7 +317,7 @@ class LeastSquares:
             closer = v + step
             predicted = -(g + 0.5 * H @ step) @ step
             inside = not (damping or self.at_bounds(closer).any())
-            if inside and predicted < SHARP_COST_GAIN and np.abs(g).max() < 1e-6 * 0.5 * self.residual_count:
+            if inside and predicted < 1e-8 and np.abs(g).max() < 0.5e-6 * self.residual_count:
                 return v, tuple(history)
             gain = cost - (then := self.cost(closer))
             if gain > 0:
