@@ -30,9 +30,12 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
     """
     log = views[0]
     # Without a reference the base's friction may be any: that it has grown cannot be judged.
-    # In a log of commands alone friction and a servo's gain look like a load.
-    hidden = {*FRICTION_CAUSES, *(("payload", "link_mass") if log.motion.torque is None else ())}
-    testable = [kind for kind in chosen if len(views) > 1 or kind.name not in hidden]
+    # In a log of commands alone friction and a servo's gain look like a load, and walls and obstacles
+    # would double the time of its simulations.
+    alone = log.motion.torque is None
+    hidden = {*FRICTION_CAUSES, *(("payload", "link_mass") if alone else ())} if len(views) < 2 else set()
+    hidden |= {"wall", "obstacle"} if alone else set()
+    testable = [kind for kind in chosen if kind.name not in hidden]
     effects = [c for kind in testable for c in _settings(kind, log.arm.joints)]
     if log.motion.torque is not None:
         problem = torque_problem(views)
