@@ -372,11 +372,9 @@ def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
             rows.append((name, name, "", _cell(frame[name].iloc[0]), "from its name"))
         elif name:
             unused.append(name)
-    # The entries of a rotation matrix are one row of the table.
-    entries = [row for row in rows if re.fullmatch("R[012]{2}", row[0])]
-    if entries:
-        whole = ("R00 to R22", f"{entries[0][1]} to {entries[-1][1]}", *entries[0][2:])
-        rows = [row for row in rows if row not in entries] + [whole]
+    # Of the entries of a rotation matrix, the first stands for all.
+    rows = [row for row in rows if row[0] == "R00" or not re.fullmatch("R[012]{2}", row[0])]
+    rows = [("R00 ...", *row[1:]) if row[0] == "R00" else row for row in rows]
     title = f"{raw.path.name}: {raw.form.words}{f'; kind {kind.name}' if kind else ''}"
     table = Table(title, ("casadical", "file", "unit", "first row", "known"), rows)
     return [table, *([Words(f"Not used: {', '.join(unused)}.", "note")] if unused else [])]
