@@ -3,9 +3,11 @@
 import json
 import re
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from casadical.blind_check.protocol import Answer, HiddenEffect, Secret, label, read_manifest
 from casadical.blind_check.scoring import Outcome, fraction, mean, metrics, outcome, score
@@ -50,8 +52,6 @@ def test_bad_files_are_named(small, tmp_path) -> None:
 
 
 def test_the_command_prints_every_figure_and_writes_them(small, tmp_path) -> None:
-    from typer.testing import CliRunner
-
     words = ["withheld", "score", str(small.folder), str(small.key), str(small.answers)]
     done = CliRunner().invoke(app, [*words, "--json", str(tmp_path / "score.json")])
     assert done.exit_code == 0, done.output
@@ -157,3 +157,19 @@ def test_labels_leave_out_joints_that_mean_nothing() -> None:
 def test_an_error_among_workers_is_told_unchanged() -> None:
     with pytest.raises(ZeroDivisionError), workers(None, 1):
         raise ZeroDivisionError
+
+
+def test_what_is_written_of_made_campaigns_names_them_and_their_key(tmp_path, monkeypatch) -> None:
+    made = SimpleNamespace(campaigns={"a": {}, "b": {}}, key_sha256="0" * 64)
+
+    def fake(*_, also, **__):
+        for path, text in also(made).items():
+            path.write_text(text)
+        return made
+
+    monkeypatch.setattr("casadical.blind_check.generation.make", fake)
+    out, kept = tmp_path / "made", tmp_path / "made.json"
+    done = CliRunner().invoke(app, ["withheld", "make", "--out", str(out), "--json", str(kept), "--workers", "1"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(kept.read_text())
+    assert (told["campaigns"], told["folder"], told["key_sha256"]) == (["a", "b"], str(out), "0" * 64)

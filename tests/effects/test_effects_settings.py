@@ -16,6 +16,7 @@ from casadical.effects import (
     FrictionWindup,
     GearMesh,
     GravityCompensator,
+    JointErrorCurve,
     LinkFlexure,
     MissingCompliance,
     NonlinearStiffness,
@@ -145,6 +146,12 @@ def test_two_joints_are_tried_each_alone_and_both_with_equal_settings() -> None:
     for one, other in both:
         assert (one.joint, other.joint) == (1, 2)
         assert replace(one, joint=2) == other
+
+
+def test_a_joint_that_stood_at_too_few_angles_has_no_curve() -> None:
+    curve = JointErrorCurve(orders=9, spread=(1e-4, 1e-4, 1e-4))
+    assert curve.for_poses(300, (18, 19, 150)).spread == (0.0, 1e-4, 1e-4)  # 19 angles determine nine orders
+    assert curve.for_poses(36, (18, 19, 36)).spread == curve.spread
 
 
 def test_friction_finds_the_spring_that_another_effect_brings() -> None:

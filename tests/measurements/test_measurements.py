@@ -276,6 +276,7 @@ def test_targets_are_named_by_the_words_that_their_headings_do_not_share() -> No
     assert _target_names([{"ball", "1"}, {"ball", "2"}]) == ["target1", "target2"]
     assert _target_names([{"ball"}, {"ball", "b"}]) == ["target1", "b"]
     assert _target_names([{"ball"}, {"ball"}]) == ["target1", "target2"]
+    assert _target_names([{"ball", "2"}, {"ball"}]) == ["target1", "target2"]
 
 
 def test_a_condition_that_is_not_finite_is_refused_behind_names_too() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from bench import FIRST, campaign, robot, with_columns
 
-from casadical import InputError, Robot, identify, read_robot, write_robot
+from casadical import Body, InputError, Joint, Robot, identify, read_robot, write_robot
 from casadical.core.files import write_together
 from casadical.diagnosis.candidates import candidates_of
 from casadical.effects import Backlash, Effect, JointErrorCurve, ThermalGrowth
@@ -19,7 +19,7 @@ from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
 from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, RemainingErrors, blocks
 from casadical.robot.robot_file import robot_files, robot_from, to_toml
-from casadical.robot.robot_schema import _Body
+from casadical.robot.robot_schema import _Body, far_centre
 
 # What reads distances or full poses has columns of its own, of where it measures to.
 OF_INSTRUMENTS = {
@@ -325,6 +325,13 @@ def test_moments_of_inertia_that_no_body_has_are_refused(moments: list[float] | 
             _Body(mass_kg=1.0, inertia_kgm2=moments)
     else:
         assert _Body(mass_kg=1.0, inertia_kgm2=moments).body().mass == 1.0
+
+
+def test_a_mass_centre_is_within_twice_the_reach_and_a_metre() -> None:
+    arm = Robot("arm", (Joint(a=0.5), Joint(a=0.7)))
+    for metres, words in ((2 * arm.reach + 0.99, None), (2 * arm.reach + 1.01, 2)):
+        far = far_centre(replace(arm, joints=(Joint(a=0.5), Joint(a=0.7, body=Body(1.0, np.array([0, metres, 0]))))))
+        assert (far and far[0]) == words
 
 
 def test_a_covariance_is_refused_where_it_is_made() -> None:

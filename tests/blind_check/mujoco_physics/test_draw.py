@@ -10,6 +10,7 @@ import pytest
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.hidden import cause
+from casadical.blind_check.mujoco_physics.plant import motion
 from casadical.blind_check.mujoco_physics.stops import Warmup, draw_stops
 from casadical.core.basics import InputError
 
@@ -140,3 +141,11 @@ def test_errors_of_joints_are_fractions_of_a_milliradian(effect: str) -> None:
     machine, rng = nominal("ur10e"), np.random.default_rng(0)
     sizes = [abs(engine.draw_effect(machine, effect, rng).size["size"]) for _ in range(30)]
     assert 1e-5 < np.median(sizes) < 1e-3
+
+
+def test_a_turn_about_a_point_leaves_it_where_it_is():
+    rng = np.random.default_rng(0)
+    turn, about, shift = rng.normal(size=(3, 5, 3))
+    G = motion(turn, shift, about)
+    moved = (G @ np.concatenate([about, np.ones((5, 1))], axis=1)[..., None])[:, :3, 0]
+    np.testing.assert_allclose(moved, about + shift, atol=1e-12)

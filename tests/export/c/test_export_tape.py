@@ -248,3 +248,11 @@ def test_an_interval_is_that_of_its_corners(name: str, of: Any) -> None:
 def test_a_correction_has_as_many_steps_as_the_command_writes() -> None:
     command = Command(models.nominal(), models.calibrated(), models.LOWER, models.UPPER)
     assert command.steps == inspect.signature(export_c).parameters["steps"].default
+
+
+def test_a_function_of_matrices_has_the_tape_of_its_scalars() -> None:
+    x, y = ca.SX.sym("x", 2), ca.MX.sym("y", 2)
+    scalar, whole = ca.Function("f", [x], [ca.sin(x) * 2]), ca.Function("f", [y], [ca.sin(y) * 2])
+    at = np.array([[0.3, -0.7]])
+    for function in (scalar, whole):
+        np.testing.assert_allclose(run(tape_of(function), at, "double")[0], 2 * np.sin(at), atol=1e-15)
