@@ -132,10 +132,9 @@ def test_parameters_that_show_themselves_at_the_optimum_are_added_alone(lengths,
     assert reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable=[]), names) is None
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_the_data_say_how_many_times_greater_errors_are_than_their_priors(seed: int) -> None:
+def test_the_data_say_how_many_times_greater_errors_are_than_their_priors() -> None:
     arm = arms.six_axis()
-    built = arms.planted(arm, seed, size=30.0)
+    built = arms.planted(arm, 3, size=30.0)
     result = identify(arm, arms.positions(built, arms.readings(arm, 80, 1), 2), ["kinematic"])
     own = [arm.parameters[name] for name in result.problem.names]
     factors = _prior_size_factors(result.problem, result.solution.v, result.variance, arm)
