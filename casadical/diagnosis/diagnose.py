@@ -281,7 +281,8 @@ def _with_masses_and_order_varied(found: Diagnosis) -> Diagnosis:
     """
     case, said = found.case, []
     named = {c.label: c.effects for c in found.causes if c.effects}
-    every = [c for c in case.candidates if not c.variants[0][0].parts]  # without those of many columns
+    # Rivals are neither of many columns nor of several joints, which may include the cause.
+    every = [c for c in case.candidates if not (c.variants[0][0].parts or c.together) or c.label in named]
     listed = replace(case, candidates=tuple(c for c in every if c.listed))._with_evidence(case.evidence)
     masses = {c.label: c.variants[0] for c in every if isinstance(c.variants[0][0], LinkMasses)}
     logged = set[str]().union(*(m.conditions for m in found.identification.measurements))
