@@ -133,3 +133,10 @@ def test_import_loads_nothing_else_of_casadical_and_no_casadi():
     stray = [m for m in names.split() if m != "casadical" and m.split(".")[1] not in ("core", "compensator")]
     assert stray == []
     assert casadi_loaded == "False"
+
+
+@pytest.mark.parametrize("more", [-1, 1])
+def test_another_number_of_weights_is_refused(more: int) -> None:
+    layout = Layout(2)
+    with pytest.raises(InputError, match=f"has {layout.count} weights"):
+        layout.layers(np.zeros((3, layout.count + more)))

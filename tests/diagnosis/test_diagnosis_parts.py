@@ -17,7 +17,7 @@ from scipy.stats import chi2, multivariate_normal, norm
 
 from casadical import InputError, Joint, Measurements, Robot
 from casadical.core.linear_gaussian.noise import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
-from casadical.diagnosis import bootstrap
+from casadical.diagnosis import bootstrap, noise_account, search
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.evidence import (
@@ -33,6 +33,7 @@ from casadical.diagnosis.laws.candidates import LawProblem
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
+from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, prior_weights, rank
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.settings import SETTINGS
@@ -332,3 +333,23 @@ def test_sums_and_differences_of_joints_drive_by_the_same_harmonics() -> None:
         angle = (m.q[:, 0] + sign * m.q[:, 1])[:, None] * np.arange(1, SETTINGS.max_joint_harmonic + 1)
         waves = np.sort(np.hstack([np.sin(angle), np.cos(angle)]), axis=1)
         np.testing.assert_allclose(np.sort(found[f"q1 {word} q2"], axis=1), waves, atol=1e-12)
+
+
+@pytest.mark.parametrize(("fitted", "rule"), [(1e-5, Rule.DECLARED), (5e-6, Rule.FIT), (2e-5, Rule.FIT)])
+def test_a_declared_noise_rules_unless_the_fit_differs(fitted: float, rule: Rule, monkeypatch) -> None:
+    monkeypatch.setattr(noise_account, "scatter_of_coordinate", lambda _, noise: noise.sigma)
+    prior = NoisePrior(declared=1e-5)
+    case = SimpleNamespace(evidence=SimpleNamespace(noise_prior=prior, count=600, absorbed_by_base=6))
+    like = SimpleNamespace(structures=(), like_noise=True)
+    found = noise_account._by_statement(case, Noise(fitted, 0.0), like)
+    assert found == (False, rule, fitted)
+
+
+def test_labels_whose_probability_is_just_enough_together_are_claimed(monkeypatch) -> None:
+    share = SETTINGS.ambiguous_share / 2
+    ranking = SimpleNamespace(none=0.0, probability={"a": share, "b": share})
+    named = {label: SimpleNamespace(name=label) for label in "ab"}
+    state = SimpleNamespace(listed=lambda _: ["a"], by_label=named, steps=())
+    monkeypatch.setattr(search, "_detected", lambda *_: True)
+    monkeypatch.setattr(search, "indistinguishable", lambda *_: ("a", "b"))
+    assert search.next_cause(state, ranking) == ("claimed", ("a", "b"))

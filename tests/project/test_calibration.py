@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
+from types import SimpleNamespace
+
 import arms
 import users
 
@@ -269,3 +271,10 @@ def test_errors_have_directions_where_positions_were_measured() -> None:
     placed, ball = arms.positions(arm, q, 1), arms.distances(arm, q, np.ones(3), 1)
     assert _errors_of("before", arm, placed).vector.shape == (5, 3)
     assert _errors_of("before", arm, ball).vector is None
+
+
+@pytest.mark.parametrize(("written", "words"), [(False, "--out results"), (True, "casadical diagnose arm")])
+def test_a_result_that_is_not_kept_is_kept_next(written: bool, words: str, monkeypatch) -> None:
+    even = SimpleNamespace(mean=1e-4)
+    monkeypatch.setattr("casadical.project.calibration.judged_on", lambda _: ("", even, even, True))
+    assert words in Calibration.next_command(SimpleNamespace(accuracies={}), Path("arm"), written=written).code
