@@ -11,10 +11,10 @@ what is judged.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from casadical.blind_check.protocol import Answer, Header, Key, Kind, Secret, read_answers, read_key, read_manifest
 from casadical.core.basics import InputError
@@ -135,10 +135,8 @@ def fraction(hits: Sequence[bool]) -> Estimate:
     n, count = len(hits), sum(map(bool, hits))
     if n == 0:
         return Estimate(None, None, None, 0, 0)
-    p, z = count / n, NormalDist().inv_cdf(0.975)
-    centre, half = p + z**2 / (2 * n), z * float(np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)))
-    low, high = ((centre + sign * half) / (1 + z**2 / n) for sign in (-1, 1))
-    return Estimate(p, max(0.0, low), min(1.0, high), n, count)
+    low, high = binomtest(count, n).proportion_ci(method="wilson")
+    return Estimate(count / n, float(low), float(high), n, count)
 
 
 def mean(values: Sequence[float]) -> Estimate:

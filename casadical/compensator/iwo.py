@@ -102,21 +102,6 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
     return np.asarray((seeds_min + (seeds_max - seeds_min) * ratio).astype(np.int64))
 
 
-@dataclass(frozen=True)
-class IwoHistory:
-    """History of a search, with one entry per generation.
-
-    evaluations : number of points evaluated so far
-    best, worst : loss of the best and the worst member
-    sigma : standard deviation of the steps [unit of the bounds]
-    """
-
-    evaluations: tuple[int, ...] = ()
-    best: tuple[float, ...] = ()
-    worst: tuple[float, ...] = ()
-    sigma: tuple[float, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class IwoResult:
     """Outcome of a search.
@@ -125,14 +110,16 @@ class IwoResult:
     loss : loss at x
     reasons : why the search stopped, as text
     evaluations : number of evaluated points
-    history : evaluations, losses and steps by generation
+    history : by generation the number of points evaluated so far ("evaluations"), the loss of the
+        "best" and the "worst" member, and the standard deviation of the steps ("sigma") [unit of
+        the bounds]
     """
 
     x: Array
     loss: float
     reasons: tuple[str, ...]
     evaluations: int
-    history: IwoHistory = field(repr=False)
+    history: dict[str, tuple[float, ...]] = field(repr=False)
 
 
 class InvasiveWeeds:
@@ -234,7 +221,7 @@ class InvasiveWeeds:
         """
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
-        history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
+        history = dict(zip(("evaluations", "best", "worst", "sigma"), zip(*self._log, strict=True), strict=True))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
 
     def _children(self) -> Array:

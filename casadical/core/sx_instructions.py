@@ -1,7 +1,7 @@
 """The instructions of a CasADi SX function, read in this module only, and their evaluation.
 
 All other ways to evaluate a function use this list: on numpy arrays here, as vectorised C in
-`mapped_function`, differences without cancellation in `export.controller.functions`, and the tape of
+`mapped_function`, differences without cancellation in `export.controller.correction`, and the tape of
 the exported controllers in `export.c.tape`.
 """
 

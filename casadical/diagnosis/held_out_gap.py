@@ -24,7 +24,7 @@ from casadical.diagnosis.refit import refit_measurements, row_errors
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
-from casadical.identification.fit_statistics import steps_without
+from casadical.identification.prediction import steps_without
 from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:

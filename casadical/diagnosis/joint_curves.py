@@ -116,6 +116,11 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
         value, error = _valued(sines(angle, orders) * units[j], x, covariance)
         there, band = _valued(sines(q[:, j - 1], orders) * units[j], x, covariance)
         square = ((x * units[j]) ** 2).reshape(-1, 2).sum(axis=1).cumsum()
+        # Angles with a reading within half a period of the highest harmonic, modulo a turn.
+        around = np.sort((q[:, j - 1] + np.pi) % (2 * np.pi)) - np.pi
+        around = np.concatenate([[around[-1] - 2 * np.pi], around, [around[0] + 2 * np.pi]])
+        after = np.searchsorted(around, angle).clip(1, len(around) - 1)
+        nearest = np.minimum(angle - around[after - 1], around[after] - angle)
         low, high = (float(1 + np.searchsorted(square, part * square[-1])) for part in (0.25, 0.75))
         joints.append(
             JointCurve(
@@ -123,7 +128,7 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
                 angle=angle,
                 value=value,
                 error=error,
-                covered=_covered(angle, q[:, j - 1], np.pi / effect.orders),
+                covered=nearest <= np.pi / effect.orders,
                 rms=float(np.sqrt((there**2).mean())),
                 rms_error=float(np.sqrt((band**2).mean())),
                 lost=lost[j],
@@ -141,14 +146,6 @@ def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
         estimate and covariance
     """
     return shapes @ x, np.sqrt(((shapes @ covariance) * shapes).sum(axis=1))
-
-
-def _covered(angle: Array, q: Array, reach: float) -> Array:
-    """Return the mask of k angles with a value of q within `reach` [rad], modulo a turn, (k,)."""
-    around = np.sort((q + np.pi) % (2 * np.pi)) - np.pi
-    around = np.concatenate([[around[-1] - 2 * np.pi], around, [around[0] + 2 * np.pi]])
-    after = np.searchsorted(around, angle).clip(1, len(around) - 1)
-    return np.asarray(np.minimum(angle - around[after - 1], around[after] - angle) <= reach)
 
 
 def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:

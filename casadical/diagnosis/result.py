@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -17,6 +17,7 @@ from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, residual_of_fit_without
+from casadical.diagnosis.laws.candidates import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount
 from casadical.diagnosis.noise_floor import Replicates
@@ -29,9 +30,6 @@ from casadical.identification.prior import Prior
 from casadical.identification.result import Identification, LeftOut
 from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
-
-if TYPE_CHECKING:
-    from casadical.diagnosis.laws.search import Round
 
 # Verdict: noise alone, explained by the causes, several causes fit equally, or an unlisted cause.
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]

@@ -140,12 +140,12 @@ def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
     return [*first, *[s for s in every if s.about == "NOISE" and s not in first][:1]]
 
 
-def _short(text: str, length: int = 290) -> str:
-    """Return a text, if longer than `length` cut below it (preferably after a clause) + " ..."."""
-    if len(text) <= length:
+def _short(text: str) -> str:
+    """Return a text, if longer than 290 characters cut (preferably after a clause) + " ..."."""
+    if len(text) <= 290:
         return text
-    whole, part, _ = text[:length].rpartition("; ")
-    return f"{whole if part else text[:length].rpartition(' ')[0]} ..."
+    whole, part, _ = text[:290].rpartition("; ")
+    return f"{whole if part else text[:290].rpartition(' ')[0]} ..."
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import fdtrc
 
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm, next_step
@@ -14,7 +13,7 @@ from casadical.core.reporting.figure import Axis, Figure, Series, Span
 from casadical.core.reporting.plain import WRITTEN, Key, plain, written
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of, ranked
-from casadical.fleet.estimates import MIN_FREEDOM, Estimate
+from casadical.fleet.estimates import MIN_FREEDOM, Estimate, exceeds_by_chance
 from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
 
@@ -278,7 +277,7 @@ class Comparison(Result):
 def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
     """Return the pooled residual of other campaigns if a campaign significantly exceeds it; else 0.
 
-    An F test decides whether the ratio exceeds `MAX_USUAL_RATIO`. The result is in the unit of
+    `exceeds_by_chance` decides whether the ratio exceeds `MAX_USUAL_RATIO`. The result is in the unit of
     `others`; it is 0 without others.
 
     own : residual sigma of a coordinate of the campaign, and its degrees of freedom
@@ -289,8 +288,7 @@ def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, fl
         return 0.0
     sigmas, free = np.array(others).T
     usual = float(np.sqrt(np.average(sigmas**2, weights=free)))
-    chance = fdtrc(own[1], free.sum(), (own[0] / (MAX_USUAL_RATIO * usual)) ** 2)
-    return usual if chance <= alarms else 0.0
+    return usual if exceeds_by_chance(own, (usual, free.sum()), MAX_USUAL_RATIO) <= alarms else 0.0
 
 
 def in_words(found: Comparison, change: Change) -> str:

@@ -259,6 +259,16 @@ def readings_of(robot: Robot, n: int) -> Array:
     return np.random.default_rng(0).uniform(low, high, (n, robot.n))
 
 
+def exceeds_by_chance(own: tuple[float, float], other: tuple[float, float], ratio: float) -> float:
+    """Return the probability that noise alone makes a residual sigma exceed another as it does.
+
+    It is that of an F test: the true sigma is at most `ratio` times the other one.
+
+    own, other : residual sigma of a coordinate, and its degrees of freedom
+    """
+    return float(fdtrc(own[1], other[1], (own[0] / (ratio * other[0])) ** 2))
+
+
 # Largest ratio of the residual sigmas of two campaigns that may have been measured by one
 # instrument. Between two campaigns an F test decides whether it is exceeded; a campaign and the
 # held-out poses of a robot file are compared by the ratio itself.
@@ -283,9 +293,9 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
     while ungrouped:
         first, group = campaigns[ungrouped[0]], []
         for k in ungrouped:
-            (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (first, campaigns[k]))
-            chances = fdtrc(f, g, (s / t / MAX_SIGMA_RATIO) ** 2), fdtrc(g, f, (t / s / MAX_SIGMA_RATIO) ** 2)
-            # An F test at a level of 1 %: may their sigmas be those of one instrument?
+            a, b = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (first, campaigns[k]))
+            # At a level of 1 %: may their sigmas be those of one instrument?
+            chances = (exceeds_by_chance(*pair, MAX_SIGMA_RATIO) for pair in ((a, b), (b, a)))
             if min(chances) > 0.01 and _places_of_robot(first).keys() == _places_of_robot(campaigns[k]).keys():
                 group.append(k)
         ungrouped = [k for k in ungrouped if k not in group]

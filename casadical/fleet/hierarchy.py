@@ -49,7 +49,7 @@ MIN_SPREAD = 1e-3
 class Common:
     """What the robots of one type have in common.
 
-    type : key of the type, as of `store.type_of`
+    type : key of the type, as of `run.type_of`
     name : name of the type
     count : number of robots from which it was estimated
     names : names of the k parameters

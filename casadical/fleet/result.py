@@ -17,7 +17,6 @@ from casadical.core.reporting.result import Result
 from casadical.fleet.changes import FALSE_ALARM_PROBABILITY, exceeded_residual, residuals_figure
 from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import MIN_ROBOTS_PER_TYPE, Common, common_of, correction, drawings_of
-from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
@@ -34,7 +33,7 @@ MAX_ROWS_ON_PAGE = 2000
 class Fleet(Result):
     """All robots of a fleet, and what they have in common.
 
-    robots : a row per robot, as in the store (see `casadical.fleet.store.EMPTY_ROW`)
+    robots : a row per robot, as in the store (see `casadical.fleet.run.EMPTY_ROW`)
     commons : what robots of one type have in common, for types with five robots or more
     outliers : names of robots whose error is an outlier among those of their type
     notes : sentences on what was assumed of the robots
@@ -275,6 +274,11 @@ class Fleet(Result):
         columns = "robot folder status error type type_name method verdict causes changes at_bounds notes"
         words = [*columns.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
+
+
+def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a table as dictionaries from column to value."""
+    return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]
 
 
 def _found_in(row: Mapping[str, Any]) -> str:

@@ -1,9 +1,10 @@
 """Whether the arm or the camera is wrong, and by how much, of poses that a camera measured.
 
-The model is linear about an identification: the arm's geometry departs from nominal with one unknown size (see
-`departure`), and the camera has a wrong focal length, scale of its board, or distortion, each absent or with a
-normal prior of unknown size; base and tool are free. The posterior is the average over all these sizes by evidence,
-with everything else integrated out; noise is that of the camera's axes, estimated in turns with the rest.
+The model is linear about an identification: the arm's geometry departs from nominal with one
+unknown size (see `prior`), and the camera has a wrong focal length, scale of its board, or
+distortion, each absent or with a normal prior of unknown size; base and tool are free. The
+posterior is the average over all these sizes by evidence, with everything else integrated out;
+noise is that of the camera's axes, estimated in turns with the rest.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, written
 from casadical.core.reporting.result import Shown
-from casadical.identification.departure import DRAWN_GROUPS, PRIOR_PROBABILITY_OF_NONE
 from casadical.identification.least_squares import FRAME_GROUPS
+from casadical.identification.prior import DRAWN_GROUPS, PRIOR_PROBABILITY_OF_NONE
 from casadical.identification.result import Identification
 from casadical.measurements.camera_noise import (
     Camera,
@@ -371,10 +372,10 @@ class _Model(NamedTuple):
         e, freedom = (a[: 6 * len(self.m)].reshape(-1, 6) for a in (y - A @ x, freedom))
         return refined(self.m.view, noise, e, freedom, sigmas)
 
-    def answer(self, noise: CameraNoise, sigmas: tuple[float, float], draws: int = 1000) -> ArmOrCamera:
+    def answer(self, noise: CameraNoise, sigmas: tuple[float, float]) -> ArmOrCamera:
         """Return the posterior errors of arm and camera by sampling.
 
-        noise, sigmas : of the camera; draws : number of samples
+        noise, sigmas : of the camera
         """
         y, frames, rest = self.whitened(noise, sigmas)
         Q = np.linalg.qr(frames)[0]
@@ -396,7 +397,7 @@ class _Model(NamedTuple):
         )
         weight = np.exp(log_weight - log_weight.max())
         rng = np.random.default_rng(0)
-        s, f = np.unravel_index(rng.choice(weight.size, draws, p=weight.ravel() / weight.sum()), weight.shape)
+        s, f = np.unravel_index(rng.choice(weight.size, 1000, p=weight.ravel() / weight.sum()), weight.shape)
         root = _NOISE_FACTORS[f, None] / np.sqrt(value[s] + _NOISE_FACTORS[f, None] ** 2)
         z = score[s] * (root / _NOISE_FACTORS[f, None]) ** 2 + root * rng.normal(size=root.shape)
         x = sd[s] * np.einsum("sij,sj->si", V[s], z)

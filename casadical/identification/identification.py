@@ -19,12 +19,11 @@ from casadical.core.parts import Body, lacks_masses, with_estimated_masses
 from casadical.core.reporting.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
-from casadical.identification.departure import departure_of
-from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, gross_errors
-from casadical.identification.prior import Prior, carry_over
+from casadical.identification.prediction import redundancies, variance
+from casadical.identification.prior import Prior, carry_over, departure_of
 from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
     independent_parameters,
@@ -456,14 +455,14 @@ def _with_priors(
     return replace(shrunk, method=free.method, identifiability=judged, departure=free.departure)
 
 
-def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
+def calibrate_base_model(prepared: Prepared) -> Identification:
     """Identify the base model, without additional causes, from which a diagnosis starts.
 
     The loss is huber, no outlier is excluded, and the robot's own priors apply. A tilted
     pedestal loads the joints as a cause might: its tilt is identified even where no measurement at
     rest shows it.
 
-    free : parameters to identify, as of `identify`
     Raises InputError, ConvergenceError.
     """
+    free = ("kinematic", "compliance")
     return calibrated(prepared, free, loss="huber", priors=True, screen=False, weighed=True, in_camera=False)

@@ -10,7 +10,6 @@ import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
-from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.identifiability import (
     MAX_INVISIBLE_LENGTH_RATIO,
     NO_EFFECT_REASON,
@@ -21,6 +20,7 @@ from casadical.identification.identifiability import (
 )
 from casadical.identification.least_squares import MANY_PARAMETERS, LeastSquares, Linearised
 from casadical.identification.plausibility import undefined
+from casadical.identification.prediction import redundancies, variance
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.camera_noise import refined
 from casadical.measurements.kinds.registry import find_kind

@@ -21,11 +21,10 @@ from casadical.identification.accuracy import (
     summarise,
     turn_errors,
 )
-from casadical.identification.departure import Departure
-from casadical.identification.fit_statistics import covariance, redundancies, variance
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, initial_sigmas
-from casadical.identification.prediction import covariance_of_all
+from casadical.identification.prediction import covariance, covariance_of_all, redundancies, variance
+from casadical.identification.prior import Departure
 from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
     MAX_RESIDUAL_OF_REACH,
@@ -488,14 +487,13 @@ class Identification(Result):
         C = covariance(problem, solution.v, variance(problem, solution.v, trimmed=True))
         return self.start.with_values(problem.values(solution.v)), problem.names, C
 
-    def is_optimal(self, tolerance: float = 1e-4) -> bool:
+    def is_optimal(self) -> bool:
         """Return whether no step within the bounds lowers the cost, recomputed from the data.
 
-        tolerance : reduction of the cost (half of chi-squared) below which a Gauss-Newton step does
-            not count, per variance; 1e-4 is about 1 % of a standard error; with guesses 0.01
+        A Gauss-Newton step does not count if it reduces the cost (half of chi-squared) by less than
+        1e-4 per variance, which is about 1 % of a standard error; with guesses by 0.01.
         """
-        if self.problem.guesses.any():
-            tolerance = max(tolerance, 2 * SETTLED_COST_GAIN)
+        tolerance = 2 * SETTLED_COST_GAIN if self.problem.guesses.any() else 1e-4
         round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 

@@ -21,9 +21,9 @@ from casadical.core.reporting.plain import Key
 from casadical.core.reporting.result import Result
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
-from casadical.identification.departure import DRAWN_GROUPS
 from casadical.identification.identification import identify
 from casadical.identification.least_squares import LeastSquares
+from casadical.identification.prior import DRAWN_GROUPS
 from casadical.identification.result import Identification
 from casadical.measurements.camera_noise import Camera, CameraNoise, lines_of_sight, whitening
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -33,8 +33,8 @@ from casadical.pose_selection.selection import readings_table, short_tour, trave
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
-# Nearest and farthest distance of a target [m], and its largest angles off the camera's axis and between line of sight
-# and board's normal [rad].
+# Nearest and farthest distance of a target [m], and its largest angles off the camera's axis and
+# between line of sight and board's normal [rad].
 View = tuple[float, float, float, float]
 
 

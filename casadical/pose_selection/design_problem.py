@@ -12,22 +12,20 @@ from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import (
+    MAX_POSES_PER_PART,
     SOCKET_COLUMN,
     Candidates,
     Circumstances,
     candidates_at,
     draw,
-    poses_at_places,
-    reachable_places,
-)
-from casadical.pose_selection.experimental_design import Design, inverse
-from casadical.pose_selection.information import (
-    MAX_POSES_PER_PART,
     independent,
     noise_covariance,
+    poses_at_places,
     prior_information,
+    reachable_places,
     scaled_jacobian,
 )
+from casadical.pose_selection.experimental_design import Design, inverse
 from casadical.pose_selection.instruments import Instrument, without_base
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot

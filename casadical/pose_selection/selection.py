@@ -23,15 +23,13 @@ from casadical.pose_selection.candidates import (
     Candidates,
     Circumstances,
     expected,
+    noise_covariance,
+    prior_information,
+    scaled_jacobian,
     timeline,
 )
 from casadical.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import (
-    noise_covariance,
-    prior_information,
-    scaled_jacobian,
-)
 from casadical.robot.robot import Robot
 
 # Number of parts of equal time into which a campaign is divided; poses that are planned for a

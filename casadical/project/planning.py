@@ -22,8 +22,13 @@ from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import Circumstances, one_turn
 from casadical.pose_selection.instruments import usual_places
-from casadical.pose_selection.plan import MeasurementPlan
-from casadical.pose_selection.pose_search import forecast, place_instrument, select_poses, select_with_places
+from casadical.pose_selection.pose_search import (
+    MeasurementPlan,
+    forecast,
+    place_instrument,
+    select_poses,
+    select_with_places,
+)
 from casadical.pose_selection.selection import Selection
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.acceptance.iso9283 import planned_test, words_of_plan

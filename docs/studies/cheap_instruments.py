@@ -35,9 +35,8 @@ from casadical.diagnosis.diagnose import diagnose
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import SOCKET_COLUMN, Circumstances
+from casadical.pose_selection.candidates import SOCKET_COLUMN, Circumstances, joint_jacobian, scaled_jacobian
 from casadical.pose_selection.design_problem import prepare
-from casadical.pose_selection.information import joint_jacobian, scaled_jacobian
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places, without_base
 from casadical.pose_selection.pose_search import place_instrument, select_poses
 from casadical.pose_selection.workspace import Workspace

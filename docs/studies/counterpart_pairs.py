@@ -15,8 +15,8 @@ from casadical import Placement, Robot
 from casadical.blind_check.mujoco_physics import Hidden, Plant
 from casadical.blind_check.mujoco_physics.campaigns import positions
 from casadical.blind_check.mujoco_physics.cause import rated_torque
-from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.hidden import causes
+from casadical.blind_check.mujoco_physics.plant import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import Array
 from casadical.core.transforms import frame

@@ -18,8 +18,8 @@ from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.blind_check.mujoco_physics.cause import reflector, settle
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Stop
-from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.mechanism import start
+from casadical.blind_check.mujoco_physics.plant import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))

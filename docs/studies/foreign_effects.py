@@ -12,8 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from acting import Disturbance, State
 
-from casadical.blind_check.mujoco_physics.fourbar import close_loop
-from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, random_vector, rotated, slide
+from casadical.blind_check.mujoco_physics.plant import (
+    Array,
+    Plant,
+    back,
+    close_loop,
+    motion,
+    move,
+    random_vector,
+    rotated,
+    slide,
+)
 from casadical.blind_check.mujoco_physics.stops import Stops, in_column
 
 Direction = tuple[float, float, float]

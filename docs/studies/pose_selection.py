@@ -21,9 +21,8 @@ from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Noise, Workspace
-from casadical.pose_selection.candidates import draw, expected
+from casadical.pose_selection.candidates import draw, expected, noise_covariance, scaled_jacobian
 from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_search import select_poses
 
 HERE = Path(__file__).parent

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 from casadical.blind_check.generation import Plan, campaign_of, record
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant, campaign, draw_effect, positions
 from casadical.blind_check.mujoco_physics.cause import placed, reflector, settle
-from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.hidden import impossible
+from casadical.blind_check.mujoco_physics.plant import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 from casadical.blind_check.own_robot import check_robot, subject_of
 from casadical.cli import app

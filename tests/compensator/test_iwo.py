@@ -79,11 +79,11 @@ def test_bounds_hold_and_colony_is_capped():
 
 def test_history_and_parents_compete():
     result = iwo_minimise(sphere, 5, IwoSettings(iterations=50), seed=2)
-    assert np.all(np.diff(result.history.best) <= 0)
-    assert len(result.history.best) == 51
-    assert result.history.evaluations[-1] == result.evaluations
-    assert result.history.sigma[1] == 0.05
-    assert result.history.best[-1] == result.loss
+    assert np.all(np.diff(result.history["best"]) <= 0)
+    assert len(result.history["best"]) == 51
+    assert result.history["evaluations"][-1] == result.evaluations
+    assert result.history["sigma"][1] == 0.05
+    assert result.history["best"][-1] == result.loss
 
 
 @pytest.mark.parametrize(

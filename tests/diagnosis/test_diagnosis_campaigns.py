@@ -15,7 +15,7 @@ from casadical.diagnosis.laws.discovery import describe_unlisted
 from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import BacklashByLoad
 from casadical.effects.plugins import effects_by_name
-from casadical.fleet.store import one_robot
+from casadical.fleet.run import one_robot
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive

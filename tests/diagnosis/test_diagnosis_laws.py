@@ -23,7 +23,7 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.laws import discovery
 from casadical.diagnosis.laws.answer import line_of
-from casadical.diagnosis.laws.candidates import descriptions, places_of, prior_weight
+from casadical.diagnosis.laws.candidates import Round, descriptions, places_of, prior_weight
 from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.laws.forms import (
     FORMS,
@@ -35,7 +35,6 @@ from casadical.diagnosis.laws.forms import (
     varying,
 )
 from casadical.diagnosis.laws.search import (
-    Round,
     aliases,
     held_out,
     laws_before_causes,

@@ -11,7 +11,7 @@ from fleet_plants import ROOT, planar
 
 from casadical import read_robot
 from casadical.fleet.hierarchy import Common, correction
-from casadical.fleet.store import add, one_robot
+from casadical.fleet.run import add, one_robot
 
 
 def common(names: tuple[str, ...], mean: list[float], scale: list[float]) -> Common:

@@ -15,8 +15,7 @@ from casadical import InputError, plot, read_robot
 from casadical.core.reporting.blocks import Table, Words
 from casadical.fleet.hierarchy import Common, common_of, population_of
 from casadical.fleet.result import MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type, trends
-from casadical.fleet.run import run_fleet
-from casadical.fleet.store import EMPTY_ROW, add, fingerprint, one_robot, records, rows
+from casadical.fleet.run import EMPTY_ROW, add, fingerprint, one_robot, records, rows, run_fleet
 from casadical.measurements.kinds.position import Position
 
 pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")

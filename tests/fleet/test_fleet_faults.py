@@ -15,8 +15,7 @@ from fleet_plants import planar
 
 from casadical import InputError, report
 from casadical.fleet.campaigns import compare_files
-from casadical.fleet.run import client_of, robots_in, run_fleet
-from casadical.fleet.store import EMPTY_ROW, add, one_robot, rows
+from casadical.fleet.run import EMPTY_ROW, add, client_of, one_robot, robots_in, rows, run_fleet
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 psutil = pytest.importorskip("psutil", reason="psutil (of Dask) is not installed")

@@ -83,7 +83,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.export.c.kernel import Manifest
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
-    from casadical.fleet.store import rows
+    from casadical.fleet.run import rows
     from casadical.fleet.touches import changes_in_fleet, judge_touches
     from casadical.measurements.logs.reading import is_log, read_log
     from casadical.pose_selection.workspace import read_workspace
@@ -212,7 +212,7 @@ def _columns(table: bytes) -> bytes:
 
 
 def _parquet() -> bytes:
-    from casadical.fleet.store import EMPTY_ROW, add
+    from casadical.fleet.run import EMPTY_ROW, add
 
     with tempfile.TemporaryDirectory() as name:
         add(Path(name), {**EMPTY_ROW, "robot": "a", "fingerprint": "b", "status": "ok"})

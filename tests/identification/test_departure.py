@@ -8,9 +8,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from casadical import identify
-from casadical.identification.departure import PRIOR_PROBABILITY_OF_NONE, SIZE_GRID, Departure, departure_of
 from casadical.identification.identification import prepare
 from casadical.identification.least_squares import LeastSquares
+from casadical.identification.prior import PRIOR_PROBABILITY_OF_NONE, SIZE_GRID, Departure, departure_of
 
 ARM = arms.six_axis()
 NOISE = 1e-4

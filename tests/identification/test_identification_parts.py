@@ -13,12 +13,11 @@ from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Law
 from casadical.identification import reduction
-from casadical.identification.fit_statistics import steps_without
 from casadical.identification.identifiability import NO_EFFECT_REASON
 from casadical.identification.identification import prepare
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.plausibility import check_against
-from casadical.identification.prediction import _prior_size_factors
+from casadical.identification.prediction import _prior_size_factors, steps_without
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import explained
 from casadical.identification.solver import bounded_step

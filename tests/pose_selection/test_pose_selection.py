@@ -25,13 +25,13 @@ from casadical.pose_selection.candidates import (
     draw,
     expected,
     later_poses,
+    noise_covariance,
     one_turn,
+    scaled_jacobian,
     timeline,
 )
 from casadical.pose_selection.design_problem import _allowed
-from casadical.pose_selection.information import noise_covariance, scaled_jacobian
-from casadical.pose_selection.plan import MeasurementPlan
-from casadical.pose_selection.pose_search import Forecast, select_poses
+from casadical.pose_selection.pose_search import Forecast, MeasurementPlan, select_poses
 from casadical.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
 from casadical.pose_selection.workspace import read_workspace
 from casadical.robot.robot import Covariance, Knowledge
@@ -255,7 +255,7 @@ def test_stopping_rules() -> None:
     assert seen.enough(5e-5) == 80
     assert seen.enough(1e-6) is None
     # sqrt(n / (n + 10)) > 0.9 from n = 42.6 on.
-    assert seen.stop(0.1, 10) == 43
+    assert seen.stop() == 43
     assert seen.stop(0.001, 10) is None
 
 

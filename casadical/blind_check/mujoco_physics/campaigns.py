@@ -13,10 +13,9 @@ import pandas as pd
 
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.blind_check.mujoco_physics.equilibrium import Engine, Setting, Stop
-from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.hidden import Hidden, causes
 from casadical.blind_check.mujoco_physics.mechanism import mechanism, start
-from casadical.blind_check.mujoco_physics.plant import Array, Plant
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import InputError
 

@@ -15,9 +15,18 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
-from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, unfolded
 from casadical.blind_check.mujoco_physics.mechanism import Mechanism
-from casadical.blind_check.mujoco_physics.plant import Array, Plant, move, rotated, slide, turn
+from casadical.blind_check.mujoco_physics.plant import (
+    Array,
+    Plant,
+    close_loop,
+    crank_angle,
+    move,
+    rotated,
+    slide,
+    turn,
+    unfolded,
+)
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses, in_column
 from casadical.core.basics import ConvergenceError
 

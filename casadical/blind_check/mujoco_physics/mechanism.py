@@ -9,8 +9,16 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle, pivot
-from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant, slide, turn
+from casadical.blind_check.mujoco_physics.plant import (
+    Array,
+    FourBar,
+    Plant,
+    close_loop,
+    crank_angle,
+    pivot,
+    slide,
+    turn,
+)
 
 # Unit vector of a body's x axis, in its own frame.
 X = (1.0, 0.0, 0.0)

@@ -6,8 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.blind_check.mujoco_physics.fourbar import crank_distance
-from casadical.blind_check.mujoco_physics.plant import Array, Plant
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, crank_distance
 from casadical.core.basics import InputError
 
 

@@ -272,18 +272,11 @@ class GridSums:
         levers : derivatives of the rows by the intermediate variables, shape (blocks, m, variables)
         points : indices of the grid points
         """
-        for axes, own, at in self._axes_at(points):
-            _add_weighted(total, F, G, axes.rotated(levers, blocks), axes.precision[own, blocks], at)
-
-    def _axes_at(self, points: Sequence[int]) -> Iterator[tuple[Axes, list[int], slice]]:
-        """Yield each eigenbasis that some of the points have, with the places of these points.
-
-        The places are indices among the points of the eigenbasis, and a slice of `points`.
-        """
         for axes in self._axes:
             at = [i for i, k in enumerate(points) if k in axes.points]
             if at:
-                yield axes, [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
+                own, places = [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
+                _add_weighted(total, F, G, axes.rotated(levers, blocks), axes.precision[own, blocks], places)
 
     def _parts(self, E: Columns) -> Iterator[slice]:
         """Return slices of blocks for which the columns E stay within the limit (see `_slices`)."""

@@ -16,9 +16,8 @@ from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.core.reporting.result import Result, plain_text
 from casadical.core.statistics import best_of
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.laws.candidates import ScoredLaw, typical_size
+from casadical.diagnosis.laws.candidates import Round, ScoredLaw, typical_size
 from casadical.diagnosis.laws.forms import SMOOTH_FORM
-from casadical.diagnosis.laws.search import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,6 +25,9 @@ from casadical.diagnosis.laws.forms import SMOOTH_FORM, Function, StateVariable,
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM
+from casadical.diagnosis.noise_evidence import Form as NoiseForm
+from casadical.diagnosis.posterior import Ranking
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import COLUMN_NAME, SEAMS, Law, columns_of
 from casadical.measurements.derived_columns import derive
@@ -254,6 +258,78 @@ def _batches(candidates: Sequence[LawCandidate]) -> Iterator[list[LawCandidate]]
         ends = np.cumsum([8 * width * c.unit[..., 0].size * len(c.function.settings) for c in every])
         for part in np.unique(ends // 60_000_000):
             yield [c for c, end in zip(every, ends, strict=True) if end // 60_000_000 == part]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One ranking of laws and all other candidates, given the causes in the model.
+
+    laws : the laws by score, the best first
+    ranking : posterior over the next cause, laws among the candidates by `label_of`
+    form : form of the noise under which all were evaluated
+    alias : labels of listed effects that are equivalent to the best law
+    further : probability of "no additional cause" given the best law; NaN where no form is certain
+    """
+
+    laws: tuple[ScoredLaw, ...]
+    ranking: Ranking
+    form: NoiseForm
+    alias: tuple[str, ...] = ()
+    further: float = np.nan
+
+    @property
+    def best(self) -> ScoredLaw:
+        """Return the law of the highest score."""
+        return self.laws[0]
+
+    @property
+    def indistinguishable(self) -> tuple[ScoredLaw, ...]:
+        """Return at most six other laws that the data do not distinguish from the best one.
+
+        Their scores are within `Settings.indistinguishable_law_margin` of its score.
+        """
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - SETTINGS.indistinguishable_law_margin)[:6]
+
+    @property
+    def probability(self) -> float:
+        """Return the probability of the forms of the best law's state variable at its place."""
+        driven = self.best.candidate.driven
+        own = (s for s in self.laws if s.candidate.driven == driven and s.form != SMOOTH_FORM)
+        return sum(self.ranking.probability[s.candidate.label] for s in own)
+
+    @property
+    def claimed(self) -> bool:
+        """Return whether the best law is claimed (see `laws.search`)."""
+        certain = self.best.form != SMOOTH_FORM and self.probability >= SETTINGS.min_law_claim
+        return certain and not self.alias and self.further >= SETTINGS.min_law_further
+
+    @property
+    def rivals(self) -> dict[str, float]:
+        """Return the probability of each candidate that is no law, the most probable first."""
+        laws = {s.candidate.label for s in self.laws}
+        return {k: self.ranking.probability[k] for k in self.ranking.order if k not in laws}
+
+    @cached_property
+    def drivers(self) -> dict[StateVariable, float]:
+        """Return the probability of each state variable at any place, the most probable first.
+
+        They sum to one: it is given that the error follows one of them.
+        """
+        total: dict[StateVariable, float] = {}
+        for s in self.laws:
+            total[s.variable] = total.get(s.variable, 0.0) + float(np.exp(s.score - self.best.score))
+        every = sum(total.values())
+        return {v: total[v] / every for v in sorted(total, key=lambda v: -total[v])}
+
+    @property
+    def description(self) -> ScoredLaw | None:
+        """Return the best law of the state variable that describes the error.
+
+        None where no cause at all is detected or no state variable has half of the probability.
+        """
+        first, p = next(iter(self.drivers.items()))
+        there = self.ranking.none <= SETTINGS.max_p_nothing_further and p >= SETTINGS.min_doubtful
+        return next(s for s in self.laws if s.variable == first) if there else None
 
 
 def descriptions(case: Case) -> list[LawCandidate]:

@@ -16,9 +16,8 @@ from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, KeptModel
-from casadical.diagnosis.laws.candidates import ScoredLaw
+from casadical.diagnosis.laws.candidates import Round, ScoredLaw
 from casadical.diagnosis.laws.search import (
-    Round,
     held_out,
     laws_before_causes,
     ranked_laws,

@@ -26,7 +26,13 @@ from casadical.core.reading import read_bytes
 from casadical.effects.base import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, Product, mapped
 from casadical.export.c.write import Export, write_c
-from casadical.export.controller import functions
+from casadical.export.controller.correction import (
+    deflected_function,
+    joint_curves,
+    tool_function,
+    variables_of,
+    without_curves,
+)
 from casadical.export.controller.inverse import SINGULAR_BELOW_M_PER_RAD, freedom_of
 from casadical.export.omission import left_out
 from casadical.project.problem import read_campaign_robot
@@ -203,12 +209,12 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     lower, upper = box.reading_limits
     counted = f"the network alone takes the robot file's q, not the controller's readings J: {real.readings_in_words}"
     command = Command(
-        nominal=functions.tool_function(nominal, "nominal", orientation),
-        calibrated=functions.tool_function(real, "calibrated", orientation, turn, network),
+        nominal=tool_function(nominal, "nominal", orientation),
+        calibrated=tool_function(real, "calibrated", orientation, turn, network),
         lower=lower,
         upper=upper,
-        jacobian_of=functions.tool_function(functions.without_curves(real).rigid, "chain", orientation),
-        jacobian_at=functions.deflected_function(real) if any(j.compliance for j in real.joints) else None,
+        jacobian_of=tool_function(without_curves(real).rigid, "chain", orientation),
+        jacobian_at=deflected_function(real) if any(j.compliance for j in real.joints) else None,
         network=network,
         limits=Limits(singular_m_per_rad=SINGULAR_BELOW_M_PER_RAD) if orientation else Limits(),
         steps=steps,
@@ -278,7 +284,7 @@ def curves_of(sources: Sources) -> CurveFunction:
     Raises InputError: the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
-    curves = functions.joint_curves(robot)
+    curves = joint_curves(robot)
     if curves is None:
         raise InputError(
             f"{_source_name(sources.robot)}: it has no joint_error_curve; there is nothing to "
@@ -287,7 +293,7 @@ def curves_of(sources: Sources) -> CurveFunction:
         )
     q = ca.SX.sym("q", robot.n)
     lower, upper = robot.reading_limits
-    dq = curves(functions.variables_of(robot, q))
+    dq = curves(variables_of(robot, q))
     if robot.counts_otherwise:
         dq = ca.sparsify(ca.DM(np.linalg.inv(robot.reading_map[0]))) @ dq
     return CurveFunction(ca.Function("curves", [q], [dq], ["q"], ["dq"]), lower, upper, robot.units)

@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.export.c.chord import ORIENTATION_LENGTH_M, residual
-from casadical.export.controller.functions import pose_of, variables_of
+from casadical.export.controller.correction import pose_of, variables_of
 from casadical.export.controller.programs.target import Posture
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames

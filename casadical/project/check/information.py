@@ -21,8 +21,7 @@ from casadical.identification.reduction import independent_parameters
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.information import scaled_jacobian
+from casadical.pose_selection.candidates import draw, expected, scaled_jacobian
 from casadical.robot.robot import Robot
 
 

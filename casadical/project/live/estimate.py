@@ -21,7 +21,7 @@ from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.identification.sessions import SESSION_PREFIX, place_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.information import scaled_jacobian
+from casadical.pose_selection.candidates import scaled_jacobian
 from casadical.pose_selection.instruments import without_base
 from casadical.robot.robot import Robot
 

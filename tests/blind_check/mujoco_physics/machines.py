@@ -8,7 +8,7 @@ import numpy as np
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.blind_check.mujoco_physics.cause import reflector, settle
-from casadical.blind_check.mujoco_physics.fourbar import unfolded
+from casadical.blind_check.mujoco_physics.plant import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
 ROBOTS = ("hh800", "kr210", "ur10e")

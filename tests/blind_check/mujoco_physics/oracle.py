@@ -5,7 +5,7 @@ import pinocchio as pin
 from scipy.optimize import brentq
 
 from casadical.blind_check.mujoco_physics import Plant
-from casadical.blind_check.mujoco_physics.fourbar import close_loop, pivot
+from casadical.blind_check.mujoco_physics.plant import close_loop, pivot
 
 
 def model(machine: Plant, payload_kg: float) -> pin.Model:

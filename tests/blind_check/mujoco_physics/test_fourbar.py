@@ -8,7 +8,7 @@ from scipy.optimize import fsolve
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
 from casadical.blind_check.mujoco_physics.cause import State, moments, placed
-from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_distance, unfolded
+from casadical.blind_check.mujoco_physics.plant import close_loop, crank_distance, unfolded
 from casadical.blind_check.mujoco_physics.stops import draw_poses
 from casadical.core.basics import InputError
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
 from casadical.blind_check.mujoco_physics.cause import settle
-from casadical.blind_check.mujoco_physics.fourbar import crank_distance
+from casadical.blind_check.mujoco_physics.plant import crank_distance
 from casadical.core.basics import ConvergenceError, InputError
 
 from .machines import HH800, KR210, nominal, stops

@@ -18,8 +18,13 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
-from casadical.export.controller.correction import CORRECTED_STATUSES, Corrector, corrected_joints, model_corrector
-from casadical.export.controller.functions import tool_function
+from casadical.export.controller.correction import (
+    CORRECTED_STATUSES,
+    Corrector,
+    corrected_joints,
+    model_corrector,
+    tool_function,
+)
 from casadical.export.controller.inverse import Newton, Postures
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import Number, Target

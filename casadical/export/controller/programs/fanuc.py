@@ -15,8 +15,15 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import M_PER_MM, Array, InputError
-from casadical.export.controller.programs.grammar import ParsedText, integers, is_number, parts, repeated, words
-from casadical.export.controller.programs.language import AngleLanguage
+from casadical.export.controller.programs.language import (
+    AngleLanguage,
+    ParsedText,
+    integers,
+    is_number,
+    parts,
+    repeated,
+    words,
+)
 from casadical.export.controller.programs.target import Given, Number, Posture, Target, numbers
 
 # Lark grammar of the positions of a listing, see `ParsedText`.

@@ -13,7 +13,8 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.export.controller.programs.grammar import (
+from casadical.export.controller.programs.language import (
+    AngleLanguage,
     ParsedText,
     integers,
     is_number,
@@ -22,7 +23,6 @@ from casadical.export.controller.programs.grammar import (
     repeated,
     words,
 )
-from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
 # Lark grammar of assignments, motions and selections of tools, see `ParsedText`.

@@ -12,8 +12,7 @@ from lark import Token, Tree
 
 from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
-from casadical.export.controller.programs.grammar import ParsedText, integers, is_number, parts
-from casadical.export.controller.programs.language import ProgramLanguage
+from casadical.export.controller.programs.language import ParsedText, ProgramLanguage, integers, is_number, parts
 from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
 # Lark grammar of declarations, motions and assignments, see `ParsedText`.

@@ -15,8 +15,7 @@ from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame
-from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, words
-from casadical.export.controller.programs.language import ProgramLanguage
+from casadical.export.controller.programs.language import ParsedText, ProgramLanguage, is_number, only_one, parts, words
 from casadical.export.controller.programs.target import RAD_PER_DEG, Given, Number, Target, numbers
 
 # Lark grammar of assignments and calls, see `ParsedText`.
