@@ -20,7 +20,7 @@ from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import plain_text
-from casadical.diagnosis.motion.engine import Found, joint_of
+from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, Found, joint_of, smooth_functions
 from casadical.diagnosis.motion.hypotheses import _plateaus
 from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, lagged, motion_of
@@ -530,3 +530,14 @@ def test_residuals_of_joints_are_told_in_their_unit(unit: str, factor: float, wo
     table = LogDiagnosis._gap_table(one)
     assert f"rms [{word}]" in table.title
     assert table.rows == [("a", *(f"{factor * v * 1e-3:.3g}" for v in (4, 3, 2, 1)), "-")]
+
+
+@pytest.mark.parametrize(("share", "tried"), [(0.999, False), (1.0, True)])
+def test_smooth_causes_are_tried_in_joints_that_move_enough(share: float, tried: bool) -> None:
+    time = np.linspace(0.0, 1.0, 60)
+    q, one = share * MIN_SPAN_RAD * time[:, None], np.ones((60, 1))
+    view = SimpleNamespace(motion=SimpleNamespace(q=q, v=one * time[:, None], time=time), variables={"load": q + one})
+    rows = [SimpleNamespace(joint=0, used=np.ones(60, dtype=bool), kind="torque")]
+    labels = [candidate.label for candidate, _ in smooth_functions(view, rows, np.ones(1))]
+    assert ("smooth torque of joint 1 by load" in labels) is tried
+    assert bool(labels) is tried
