@@ -143,6 +143,15 @@ def test_the_data_say_how_many_times_greater_errors_are_than_their_priors() -> N
     assert factors[places[0]] == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.25)
 
 
+@pytest.mark.parametrize(("steps", "done"), [(4, 4), (50, 10)])
+def test_an_optimum_without_bounds_is_approached_in_ten_steps_at_most(steps: int, done: int) -> None:
+    """Every step gains half a unit of cost until `steps` were made, and nothing from then on."""
+    problem, calls = SimpleNamespace(), []
+    problem.gradient = lambda v: calls.append(v) or (np.full(1, float(len(calls) < steps)), np.eye(1))
+    v = LeastSquares.settled(problem, np.zeros(1))
+    assert (len(calls), v.tolist()) == (done, [-float(min(steps - 1, done))])
+
+
 def test_poses_without_outliers_are_all_explained() -> None:
     arm = arms.six_axis()
     result = identify(arm, arms.positions(arm, arms.readings(arm, 300, 1), 2), ["placement", "a2", "theta2"])
