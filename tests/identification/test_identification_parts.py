@@ -15,7 +15,7 @@ from casadical.effects import Law
 from casadical.identification import reduction
 from casadical.identification.identifiability import NO_EFFECT_REASON
 from casadical.identification.identification import prepare
-from casadical.identification.least_squares import LeastSquares
+from casadical.identification.least_squares import LeastSquares, Linearised
 from casadical.identification.plausibility import check_against
 from casadical.identification.prediction import _prior_size_factors, steps_without
 from casadical.identification.prior import Prior
@@ -148,7 +148,7 @@ def test_an_optimum_without_bounds_is_approached_in_ten_steps_at_most(steps: int
     """Every step gains half a unit of cost until `steps` were made, and nothing from then on."""
     problem, calls = SimpleNamespace(), []
     problem.gradient = lambda v: calls.append(v) or (np.full(1, float(len(calls) < steps)), np.eye(1))
-    v = LeastSquares.settled(problem, np.zeros(1))
+    v = Linearised.settled(problem, np.zeros(1))
     assert (len(calls), v.tolist()) == (done, [-float(min(steps - 1, done))])
 
 
