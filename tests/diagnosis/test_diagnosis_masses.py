@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import diagnose, robot, simulated
+from cases import diagnose, practice, robot, simulated
 from planted import planted
 
 from casadical.core.basics import InputError
@@ -142,3 +142,9 @@ def test_a_claim_that_hangs_on_the_masses_says_so(hidden: str, said: bool) -> No
     words = [text for text in d.case.assumed if "hangs on them" in text]
     assert bool(words) == said
     assert all("it is nothing (" in text for text in words)
+
+
+def test_an_effect_of_all_joints_is_no_rival_of_a_cause_that_does_not_hang_on_the_masses() -> None:
+    d = diagnose(robot("ur10e"), practice("ur10e-P06"), ["friction_windup", "link_masses"])
+    assert [c.label for c in d.causes if c.confidence > 0.9] == ["friction_windup@3"]
+    assert not [text for text in d.case.assumed if "hangs on them" in text]
