@@ -2,15 +2,19 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 from bench import campaign, robot, with_columns
+from scipy.spatial.transform import Rotation
 
 from casadical.core.basics import InputError
 from casadical.core.parts import Body, Joint
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import BearingPlay, Law, LinkMasses, PayloadError
+from casadical.effects.formula_effect import grown_link
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.export.omission import left_out
 from casadical.identification.accuracy import predicted
@@ -89,6 +93,17 @@ def test_the_beam_moves_points_along_it() -> None:
 def test_an_instrument_whose_place_is_not_given_stands_in_the_origin() -> None:
     p = predicted(robot(NAME), campaign(NAME)[:30])[0]
     np.testing.assert_allclose(shift(Law(None, "beam", "a * r"), 1e-4), 1e-4 * p, rtol=0, atol=1e-12)
+
+
+def test_a_link_that_grows_moves_its_end_along_itself() -> None:
+    frames = [np.eye(4), np.eye(4)]
+    for k, T in enumerate(frames):
+        T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", [0.3 + k, -0.2, 0.5]).as_matrix(), [0.1 + k, 0.4, -0.2 * k]
+    context = SimpleNamespace(frames=[ca.SX(T) for T in frames])
+    for number, before in ((1, np.eye(4)), (2, frames[0])):
+        here, expected = frames[number - 1], np.eye(4)
+        expected[:3, 3] = 1e-3 * here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
+        np.testing.assert_allclose(ca.evalf(grown_link(number, context, ca.SX(1e-3))).full(), expected, atol=1e-15)
 
 
 def test_laws_are_no_candidates_of_their_own() -> None:

@@ -12,8 +12,11 @@ import pytest
 from command_line import run
 from lives import NOISE, as_built, changed, measured, write_table
 from scipy.stats import multivariate_normal
+from typer.testing import CliRunner
 
 from casadical import InputError, Robot, calibrate, identify, plot, read_robot, write_robot
+from casadical.cli import app
+from casadical.core.reporting.blocks import Words
 from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, name_of, other_regions
 from casadical.fleet.changes import MEANINGS, Change, _per, in_words, times_in_words
@@ -495,6 +498,16 @@ def test_of_another_robot_parameters_count_that_differ_by_three_standard_errors(
     cause = SimpleNamespace(kind=ANOTHER_ROBOT, label="another robot")
     change = SimpleNamespace(since=1, named=True, cause=cause, course="jump", amounts=amounts)
     assert "2 of 4 parameters differ by more than 3 standard errors" in in_words(found, change)
+
+
+@pytest.mark.parametrize(("changed", "unexplained", "code"), [(0, 0, 0), (1, 0, 5), (0, 1, 5), (1, 1, 5)])
+def test_a_change_or_what_is_unexplained_ends_a_comparison_in_5(changed, unexplained, code, monkeypatch) -> None:
+    found = SimpleNamespace(
+        changed=bool(changed), unexplained=bool(unexplained), blocks=lambda: [Words("told")], next=()
+    )
+    found.to_json = dict
+    monkeypatch.setattr("casadical.fleet.campaigns.compare_files", lambda *_, **__: found)
+    assert CliRunner().invoke(app, ["compare", "problems/planar", "problems/planar"]).exit_code == code
 
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:
