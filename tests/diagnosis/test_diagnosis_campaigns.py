@@ -238,3 +238,15 @@ def test_a_claim_that_hangs_on_the_order_of_the_rows_says_so(logged: bool, shuff
     words = [text for text in d.case.assumed if text.startswith("the rows are in the order of measuring: friction")]
     assert bool(words) == said
     assert all(text.endswith("log approach2") for text in words)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur10e-P06", "hh800-P04"])
+def test_more_rows_never_name_less(name: str) -> None:
+    """What halves or thirds of a shipped series name for certain, the whole names."""
+    m, arm = practice(name), robot(name.split("-")[0])
+    whole = {c.label for c in diagnose(arm, m).causes}
+    parts = [m[np.arange(start, len(m), step)] for step in (2, 3) for start in range(step)]
+    for part in parts:
+        sure = {c.label for c in diagnose(arm, part).causes if c.confidence > 0.9 and not c.indistinguishable}
+        assert sure <= whole
