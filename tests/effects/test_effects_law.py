@@ -14,6 +14,7 @@ from casadical.core.basics import InputError
 from casadical.core.parts import Body, Joint
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import BearingPlay, Law, LinkMasses, PayloadError
+from casadical.effects.definition import hardening_spring
 from casadical.effects.formula_effect import grown_link
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.export.omission import left_out
@@ -104,6 +105,17 @@ def test_a_link_that_grows_moves_its_end_along_itself() -> None:
         here, expected = frames[number - 1], np.eye(4)
         expected[:3, 3] = 1e-3 * here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
         np.testing.assert_allclose(ca.evalf(grown_link(number, context, ca.SX(1e-3))).full(), expected, atol=1e-15)
+
+
+def test_a_hardening_spring_is_fitted_by_least_squares() -> None:
+    made: dict[str, float] = {}
+    simulator = SimpleNamespace(peak_torque=lambda joint: 500.0, drive=lambda joint: SimpleNamespace(compliance=4e-7))
+    simulator.with_drive = lambda effect, spring, **numbers: made.update(numbers)
+    hardening_spring(SimpleNamespace(joint=2, label="spring"), simulator, {"bend": 3e-5})
+    load = np.linspace(-1.2, 1.2, 97)
+    d = (2e-4 * load - 3e-5 * load**3) / 1e-4  # in tenths of a milliradian
+    k1, k3 = np.linalg.lstsq(np.column_stack([d, d**3]), 500.0 * load, rcond=None)[0]
+    assert (made["k1"], made["k3"]) == pytest.approx((k1 * 1e4, k3 * 1e12), rel=1e-9)
 
 
 def test_laws_are_no_candidates_of_their_own() -> None:
