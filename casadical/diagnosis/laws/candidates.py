@@ -265,7 +265,7 @@ class Round:
     """One ranking of laws and all other candidates, given the causes in the model.
 
     laws : the laws by score, the best first
-    ranking : posterior over the next cause, laws among the candidates by `label_of`
+    ranking : posterior over the next cause, laws among the candidates by their `label`
     form : form of the noise under which all were evaluated
     alias : labels of listed effects that are equivalent to the best law
     further : probability of "no additional cause" given the best law; NaN where no form is certain
