@@ -317,9 +317,12 @@ class LeastSquares:
             closer = v + step
             predicted = -(g + 0.5 * H @ step) @ step
             inside = not (damping or self.at_bounds(closer).any())
-            if inside and predicted < 1e-8 and np.abs(g).max() < 0.5e-6 * self.residual_count:
+            sharp = inside and predicted < 1e-8
+            if sharp and np.abs(g).max() < 0.5e-6 * self.residual_count:
                 return v, tuple(history)
             gain = cost - (then := self.cost(closer))
+            if sharp and gain <= 0:  # round-off hides what is left: Ipopt would find nothing, either
+                return v, tuple(history)
             if gain > 0:
                 v, cost, damping = closer, then, damping / 10
                 history.append(cost)
