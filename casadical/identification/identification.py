@@ -307,12 +307,13 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     """Return the problem with compliance of all revolute joints if its measurements support it.
 
     Only compliance that the robot file does not declare is tested; the result is in `tried`, None
-    where a fit fails. It is supported where the residuals' standard deviation is over 1 % smaller
-    and an F-test gives such a reduction by chance a probability below 1e-3. BIC would be stricter
-    with all joints compliant at once, though every arm gives way under gravity. Only parameters
-    that the data determine are counted; the robot's priors constrain both models. The outliers of
-    the compliant model are left out of both: large residuals of a rigid model are no gross errors.
-    At most MAX_POSES_OF_COMPLIANCE_TEST poses of a set, drawn at random, are used.
+    where a fit fails or leaves no degree of freedom. It is supported where the residuals' standard
+    deviation is over 1 % smaller and an F-test gives such a reduction by chance a probability below
+    1e-3. BIC would be stricter with all joints compliant at once, though every arm gives way under
+    gravity. Only parameters that the data determine are counted; the robot's priors constrain both
+    models. The outliers of the compliant model are left out of both: large residuals of a rigid
+    model are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST poses of a set, drawn at random,
+    are used.
     """
     wider = prepared.compliant
     if wider is None:
@@ -337,7 +338,9 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     for start in (rigid, full):
         problem, v = replace(start.problem, sigmas=sigmas), start.solution.v
         squares.append(problem.square(v) + problem.prior_square(v, counted=True))
-        freedom.append(max(float(redundancies(problem, v).sum()), 1.0))
+        freedom.append(float(redundancies(problem, v).sum()))
+    if freedom[1] < 1:  # compliant joints explain every number, whatever it is
+        return prepared
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
     chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
     rigid_sigma, compliant_sigma = (
