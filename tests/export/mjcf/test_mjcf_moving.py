@@ -89,7 +89,7 @@ def recorded(mujoco, text, seed, seconds=24.0):
 
 @pytest.mark.slow
 def test_position_torque_and_floor_of_an_arm_in_mujoco_come_back(tmp_path):
-    """Found from logs of a planted arm, the exported model gives positions and torques of another run as printed."""
+    """Found from logs of a planted arm, the exported model gives another run: positions as printed, torques to 3 %."""
     mujoco = pytest.importorskip("mujoco")
     body = Body(0.5, np.array([0.15, 0.0, 0.0]), np.diag([1e-3, 1e-3, 1e-3]))
     arm = Robot(name="two servos", joints=(Joint(alpha=np.pi / 2, body=body), Joint(a=0.25, body=body)))
@@ -104,8 +104,7 @@ def test_position_torque_and_floor_of_an_arm_in_mujoco_come_back(tmp_path):
         q, torque = driven(mujoco, made, log)
         after = [np.sqrt(((a - b) ** 2).mean(axis=0)) for a, b in ((q, log.position), (torque, log.torque))]
         assert (after[0] < 1.15 * found.after + 1e-4).all()
-        assert (after[1] < 1.4 * found.torque[1]).all()
-        assert (after[1] < 0.1 * found.torque[0]).all()
+        assert (after[1] < 0.03 * np.sqrt((log.torque**2).mean(axis=0))).all()
     assert "rests on a surface" in " ".join(plain_text(found.blocks(), 120).split())
     known = replace(arm, drive=found.response.drive())
     assert fitted(known, [recorded(mujoco, truth, 8)])[0].floor.height == found.response.drive().floor
