@@ -104,7 +104,8 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
     Examples
     --------
     >>> casadical.write_robot(found.robot, "calibrated.toml", "after the crash of May")
-    >>> bool(casadical.read_robot("calibrated.toml").parameters["a1"].value == found.robot.parameters["a1"].value)
+    >>> read = casadical.read_robot("calibrated.toml")
+    >>> bool(abs(read.parameters["a1"].value - found.robot.parameters["a1"].value) < 1e-15)  # [m]
     True
     """
     write_together(robot_files(Path(path), robot, comment, effects))
