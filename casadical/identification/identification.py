@@ -310,10 +310,9 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     where a fit fails or leaves no degree of freedom. It is supported where the residuals' standard
     deviation is over 1 % smaller and an F-test gives such a reduction by chance a probability below
     1e-3. BIC would be stricter with all joints compliant at once, though every arm gives way under
-    gravity. Only parameters that the data determine are counted; the robot's priors constrain both
+    gravity. Only parameters that the data determine count; the robot's priors constrain both
     models. The outliers of the compliant model are left out of both: large residuals of a rigid
-    model are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST poses of a set, drawn at random,
-    are used.
+    model are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST random poses of a set are used.
     """
     wider = prepared.compliant
     if wider is None:
