@@ -12,8 +12,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import serial_columns
-from casadical.core.linear_gaussian.fit import Fit
-from casadical.core.linear_gaussian.marginals import NO_COLUMNS
+from casadical.core.linear_gaussian.marginals import marginals_of
 from casadical.core.linear_gaussian.noise import SerialNoise, serial_noise
 from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence
 
@@ -72,17 +71,18 @@ class Form:
 WHITE_FORM = Form()
 
 
-def prewhitened(e: Evidence, form: Form, order: Array) -> Evidence:
+def prewhitened(e: Evidence, form: Form, order: Array | None = None) -> Evidence:
     """Return the model in the order of measuring, its rows prewhitened for a form of noise.
 
     Its log likelihoods are those under this noise minus the form's log_weight.
-    order : indices of the poses in the order of measuring, shape (n,)
+    order : indices of the poses in the order of measuring, shape (n,); None for a model without
+        candidates whose poses are in this order
     """
-    own, noise = e.at(order), form.serial(len(order))
+    own, noise = e if order is None else e.at(order), form.serial(len(e.r))
     if form.axes is not None:
         r = (form.axes @ own.r[:, :, None])[:, :, 0]
         own = replace(own, r=r, J=form.axes @ own.J, Jq=form.axes @ own.Jq)
-    E = serial_columns(e.E, order, noise)
+    E = e.E if order is None else serial_columns(e.E, order, noise)
     return replace(own, r=noise.whiten(own.r), J=noise.whiten(own.J), Jq=form.repeatability(own.Jq), E=E)
 
 
@@ -94,13 +94,13 @@ class Problem:
     """
 
     def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
-        self.e, self.chosen, self._order = e, chosen, order
-        self._own = e.with_causes_alone(chosen)
-        self._others = [other.with_causes_alone(chosen) for _, other in e.at_other_ratios]
+        self.e, self.chosen = e, chosen
+        models = (e, *(other for _, other in e.at_other_ratios))
+        self._own, *self._others = (own.with_causes_alone(chosen).at(order) for own in models)
         # Contribution to the log likelihood of the directions of the causes that no pose shows.
         combined, widths = e.combined(chosen), e.cause_prior_sigmas[chosen]
         self._lost = combined.sum_over_dropped(np.log(e.reference / widths))
-        self._cache: dict[Form, Array] = {}
+        self._cache: dict[Form, tuple[Array, dict[int, Array]]] = {}
 
     def log_likelihood(self, form: Form) -> Array:
         """Return the log likelihood under a form of noise, shape (rhos, sigmas).
@@ -108,16 +108,20 @@ class Problem:
         The form's log_weight and the prior of the noise are included; results are cached by form.
         """
         if form not in self._cache:
-            own, *others = (prewhitened(e, form, self._order).log_base() for e in (self._own, *self._others))
-            self._cache[form] = self.e.averaged(own, others) + form.log_weight - self._lost
-        return self._cache[form]
+            own = marginals_of(prewhitened(self._own, form))
+            others = (prewhitened(e, form).log_base() for e in self._others)
+            log = self.e.averaged(own.log_base(), others)
+            self._cache[form] = log + form.log_weight - self._lost, own.estimates_of_base()
+        return self._cache[form][0]
 
     def residual(self, form: Form, rho: int) -> Array:
         """Return the residual of the fit whitened for a form, shape (n, 3) [m].
 
-        It is in the order of measuring and scaled by the model's reference noise.
+        It is in the order of measuring and whitened for sigma = 1.
         rho : index of the repeatability ratio in `RHO_GRID`
         """
-        moved = prewhitened(self._own, form, self._order)
-        fit = Fit(moved, NO_COLUMNS, moved.reference, {REPEATABILITY: float(RHO_GRID[rho])})
-        return np.asarray(moved.reference * fit.whitened_residual.reshape(moved.r.shape))
+        self.log_likelihood(form)
+        moved = prewhitened(self._own, form)
+        W, _ = moved.noise.whitening({REPEATABILITY: float(RHO_GRID[rho])})
+        r = moved.r - moved.J @ self._cache[form][1][rho]
+        return np.asarray((W @ r[:, :, None])[:, :, 0])

@@ -221,11 +221,13 @@ def unequal_forms(problem: Problem, places: Array) -> list[Form | None]:
         square, cost = (turned**2).mean(axis=0), 0.5 * numbers * np.log(n)
         gain = 0.5 * n * (3 * np.log(square.mean()) - np.log(square).sum())
         form = Form(axes=axes)
-        for _ in range(3 if gain > cost else 0):
-            times = np.sqrt(square) if form.scale is None else form.scale[0] * np.sqrt(square)
+        times = np.ones(3)
+        for turn in range(3 if gain > cost else 0):
+            if turn:
+                square = (_likely_residual(problem, form) ** 2).mean(axis=0)
+            times = times * np.sqrt(square)
             times /= np.exp(np.log(times).mean())
             form = replace(form, scale=np.tile(times, (n, 1)), log_weight=-float(cost))
-            square = (_likely_residual(problem, form) ** 2).mean(axis=0)
         forms.append(form if gain > cost else None)
     return forms
 

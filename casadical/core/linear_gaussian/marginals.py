@@ -139,6 +139,10 @@ class Marginals:
         """
         return self._model_with(also).log_base
 
+    def estimates_of_base(self) -> dict[int, Array]:
+        """Return the estimate of the base parameters, shape (P,), by index of the grid point."""
+        return {k: own.root.T @ own.z for k, own in self._model_with(NO_COLUMNS).at.items()}
+
     def log_grids(self, groups: Sequence[Array], also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood with each group as a cause, (groups, points, sigmas, kappas).
 
