@@ -117,6 +117,7 @@ def diagnose(
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     with importing():
+        from casadical.pose_selection.workspace import read_workspace
         from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns, read_logs
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
@@ -141,7 +142,7 @@ def diagnose(
     answers: list[CampaignDiagnosis] = []
     texts: dict[Path, str | bytes] = {}
     for campaign in given:
-        workspace = campaign.workspace(room)
+        workspace = room and read_workspace(room, campaign.robot)
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             answer = diagnose_campaign(campaign, options, show).analysed(
                 poses=next_n,

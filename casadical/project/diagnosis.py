@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.drive import read_drive
@@ -16,10 +16,6 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.laws.answer import Discovery
-from casadical.diagnosis.motion.replay import Replay, replayed
-from casadical.diagnosis.motion.result import LogDiagnosis as LogDiagnosis
-from casadical.diagnosis.motion.result import diagnose_log
-from casadical.diagnosis.page import diagnosis_figures, diagnosis_page
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import gain_of
@@ -27,7 +23,6 @@ from casadical.diagnosis.text import as_json, brief, detailed, diagnosis_files
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_SEAMS
-from casadical.effects.motion import Cause
 from casadical.effects.plugins import effects_by_name
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.findings import found_in
@@ -35,12 +30,15 @@ from casadical.measurements.logs.log import JointLog, joined
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import refuse_shared_rows
-from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables, problem_file, tables_of
-from casadical.project.reporting import campaign_files
 from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from casadical.diagnosis.motion.replay import Replay
+    from casadical.diagnosis.motion.result import LogDiagnosis
+    from casadical.effects.motion import Cause
 
 # Choice of candidate causes: the name of a list, or names, labels, effects and classes of effects.
 EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Effect]]
@@ -97,10 +95,6 @@ class Campaign:
     def title(self) -> str:
         """Return the title of what is printed: all tables, and the robot."""
         return f"{', '.join(path.stem for path in self.tables) or self.name} ({self.robot.name})"
-
-    def workspace(self, room: Path | None) -> Workspace | None:
-        """Return the workspace that the file `room` describes, or None. Raises InputError."""
-        return read_workspace(room, self.robot) if room else None
 
 
 def read_campaigns(
@@ -217,6 +211,8 @@ class CampaignDiagnosis(Result):
 
     def figures(self) -> dict[str, Figure]:
         """Return every figure by name (see `diagnosis_figures`)."""
+        from casadical.diagnosis.page import diagnosis_figures
+
         return {figure.name: figure for figure in diagnosis_figures(self.diagnosis, self.details)}
 
     def page(self, replayed: Sequence[Block] = ()) -> Page:
@@ -224,6 +220,9 @@ class CampaignDiagnosis(Result):
 
         replayed : blocks on the replay of the poses in a simulator
         """
+        from casadical.diagnosis.page import diagnosis_page
+        from casadical.project.reporting import campaign_files
+
         page = diagnosis_page(self.diagnosis, self.campaign.name, self.details, replayed)
         return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
@@ -296,6 +295,8 @@ class LogCampaign:
 
     def diagnosed(self, show: Show = silent) -> LogDiagnosis:
         """Return the diagnosis of all `logs` together (`diagnose_log`). Raises InputError."""
+        from casadical.diagnosis.motion.result import diagnose_log
+
         logs = joined([self.log(path) for path in self.logs])
         if len(self.logs) > 1:
             logs = replace(logs, findings=tuple(found_in(logs)))
@@ -311,6 +312,8 @@ class LogCampaign:
         logs, withheld = ([self.log(path) for path in paths] for paths in (self.logs, self.withheld))
         if any(log.command is None for log in (*logs, *withheld)):
             return None
+        from casadical.diagnosis.motion.replay import replayed
+
         return replayed(self.robot, logs, withheld, show, against)
 
     def page(self, answer: LogDiagnosis | None, replay: Replay | None) -> Page:

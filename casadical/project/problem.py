@@ -10,7 +10,6 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.compensator.trainers.registry import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.reporting.result import Shown
@@ -262,6 +261,8 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
             f"{path}: measurements: is missing; a calibration needs at least one table: "
             "[[measurements]], or a CSV after the folder"
         )
+    from casadical.compensator.trainers.registry import network_methods
+
     place, urdf = folder / (file.of_campaigns if campaign else file.robot), file.urdf or UrdfTable()
     robot, prior = carried(replace(robot_of_file(place, urdf), sessions=file.sessions.sessions()))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})

@@ -22,7 +22,6 @@ from pydantic import (
     model_validator,
 )
 
-from casadical.compensator.trainers.registry import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import MAX_ITEMS, load_json, load_toml, missing, read_bytes
@@ -299,12 +298,14 @@ def as_toml(source: Source) -> Any:
 
 def all_methods() -> tuple[str, ...]:
     """Return all calibration methods: identifications, then the networks of all trainers."""
+    from casadical.compensator.trainers.registry import network_methods
+
     return (*BASE_METHODS, *network_methods())
 
 
 def _checked_method(name: str) -> str:
     """Return a method's name unchanged. Raises ValueError where there is no such method."""
-    if name not in all_methods():
+    if name not in BASE_METHODS and name not in all_methods():
         raise ValueError(f"allowed: {', '.join(all_methods())}")
     return name
 

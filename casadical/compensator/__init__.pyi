@@ -1,0 +1,17 @@
+from casadical.compensator.compensator import Compensator as Compensator
+from casadical.compensator.compensator import train as train
+from casadical.compensator.iwo import InvasiveWeeds as InvasiveWeeds
+from casadical.compensator.iwo import Iwo as Iwo
+from casadical.compensator.iwo import IwoSettings as IwoSettings
+from casadical.compensator.iwo import IwoThenLm as IwoThenLm
+from casadical.compensator.iwo import iwo_minimise as iwo_minimise
+from casadical.compensator.layout import JointBox as JointBox
+from casadical.compensator.layout import Layout as Layout
+from casadical.compensator.network import Network as Network
+from casadical.compensator.network import make_task as make_task
+from casadical.compensator.saving import load_compensator as load_compensator
+from casadical.compensator.saving import save_compensator as save_compensator
+from casadical.compensator.trainers.base import Trainer as Trainer
+from casadical.compensator.trainers.distilled import Taught as Taught
+from casadical.compensator.trainers.levenberg_marquardt import Backprop as Backprop
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
