@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_solution
@@ -92,11 +93,8 @@ class LeastSquares:
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of all K unknown points, as "set index/point name", such as "0/A"."""
-        return self.cache.once("labels", self._labels)
-
-    def _labels(self) -> tuple[str, ...]:
-        """Compute `labels` from the poses of all sets, in order of appearance."""
-        return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
+        names = chain.from_iterable(map(self.pose_labels, range(len(self.sets))))
+        return self.cache.once("labels", lambda: tuple(dict.fromkeys(names)))
 
     def pose_labels(self, k: int) -> list[str]:
         """Return the label of each pose's unknown point in set k; empty if the kind has none."""
@@ -310,28 +308,41 @@ class LeastSquares:
         changes the cost by less than SETTLED_COST_GAIN. The costs at all steps are returned, too,
         where the last point is an optimum inside the bounds, as sharp as Ipopt's; else none.
         """
-        cost, damping = self.cost(v), 0.0
-        history = [cost]
-        for _ in range(MAX_APPROACH_STEPS):
-            step, (g, H) = self.step(v, damping), self.gradient(v)
-            closer = v + step
-            predicted = -(g + 0.5 * H @ step) @ step
-            inside = not (damping or self.at_bounds(closer).any())
-            sharp = inside and predicted < 1e-8
-            if sharp and np.abs(g).max() < 0.5e-6 * self.residual_count:
-                return v, tuple(history)
-            gain = cost - (then := self.cost(closer))
-            if sharp and gain <= 0:  # round-off hides what is left: Ipopt would find nothing, either
-                return v, tuple(history)
+
+        def evaluate(at: Array) -> Evaluated:
+            """Return twice the cost, and the equations of a step, at one point, shape (1, size)."""
+
+            def sums(_: Array) -> tuple[Array, Array]:
+                g, H = self.gradient(at[0])
+                return H[None], -g[None]
+
+            return np.array([2 * self.cost(at[0])]), sums
+
+        states = levenberg_marquardt(
+            evaluate,
+            v[None],
+            MAX_APPROACH_STEPS + 1,
+            solve=lambda at, H, right: self.step(at[0], (-right[0], H[0]))[None],
+            first=0.0,
+            least=0.0,
+        )
+        inside, sharp, damping = False, False, 0.0
+        history: list[float] = []
+        for at in states:
+            v, gain = at.point[0], 0.5 * at.gain[0]
             if gain > 0:
-                v, cost, damping = closer, then, damping / 10
-                history.append(cost)
+                history.append(float(0.5 * at.cost[0]))
                 if gain < SETTLED_COST_GAIN and not inside:
                     break
+            elif sharp:  # round-off hides what is left: Ipopt would find nothing, either
+                return v, tuple(history)
             elif abs(gain) < SETTLED_COST_GAIN or damping > 1:
                 break
-            else:  # also after a cost that is not a number
-                damping = max(10 * damping, 1e-3)
+            damping = at.damping[0]
+            inside = not (damping or self.at_bounds(v + at.step[0]).any())
+            sharp = inside and at.predicted[0] < 2e-8
+            if sharp and np.abs(self.gradient(v)[0]).max() < 0.5e-6 * self.residual_count:
+                return v, tuple(history)
         return v, ()
 
     def cost(self, v: Array) -> float:
@@ -550,16 +561,15 @@ class LeastSquares:
         step = self.step(v)
         return max(0.0, float(-(g + 0.5 * H @ step) @ step))
 
-    def step(self, v: Array, damping: float = 0.0) -> Array:
+    def step(self, v: Array, normal: tuple[Array, Array] | None = None) -> Array:
         """Return the bounded Gauss-Newton step from v, shape (size,).
 
         It leads to the minimum of the problem linearised at v, within the bounds.
 
-        damping : factor of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
+        normal : gradient and Hessian, shapes (size,) and (size, size); by default `gradient(v)`
         """
-        (lower, upper), (g, H) = self.bounds, self.gradient(v)
-        damped = H + damping * np.diag(np.diag(H)) if damping else H
-        return bounded_step(g, damped, lower - v, upper - v, self.at_bounds(v))
+        lower, upper = self.bounds
+        return bounded_step(*(normal or self.gradient(v)), lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
         """Return the problem with other initial positions of the unknown points.

@@ -184,8 +184,8 @@ class PlacementProblem:
             return np.concatenate([turned.ravel(), x[0, 9:] + step[0, 3:]])[None]
 
         first = np.concatenate([start.R.ravel(), start.p, start.t])[None]
-        best, cost = levenberg_marquardt(evaluate, first, 41, move=move, least_gain=1e-9)
-        return placed(best[0], float(cost[0]))
+        *_, end = levenberg_marquardt(evaluate, first, 41, move=move, relative=1e-9, absolute=1e-9)
+        return placed(end.point[0], float(end.cost[0]))
 
 
 # Maximum number of poses with positions from which initial frames are computed; they are drawn at

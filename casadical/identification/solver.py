@@ -390,13 +390,8 @@ class ProblemCache:
     def __init__(self) -> None:
         """Start with an empty cache."""
         self.made: dict[str, Any] = {}
-        self.sums, self.parts, self.gradient, self.cost = (
-            LastValueCache(),
-            LastValueCache(),
-            LastValueCache(),
-            LastValueCache(),
-        )
-        self.redundancies = LastValueCache()
+        caches = (LastValueCache() for _ in range(5))
+        self.sums, self.parts, self.gradient, self.cost, self.redundancies = caches
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
         """Return the cached value of this name; the first time it is computed by `compute()`."""

@@ -121,8 +121,9 @@ class Images(NamedTuple):
             return (r**2).sum(axis=1), lambda k: (J[k].transpose(0, 2, 1) @ J[k], (r[k, None] @ J[k])[:, 0])
 
         move = lambda flat, step: _moved(flat.reshape(-1, 4, 4), step).reshape(flat.shape)  # noqa: E731
-        best, _ = levenberg_marquardt(evaluate, T.reshape(-1, 16), steps + 1, move=move, least_gain=1e-12)
-        return best.reshape(T.shape)
+        start = T.reshape(-1, 16)
+        *_, end = levenberg_marquardt(evaluate, start, steps + 1, move=move, absolute=1e-12)
+        return end.point.reshape(T.shape)
 
     def _start(self, k: int) -> Array:
         """Return the pose of the board in the camera, (4, 4), by the homography of its corners at station k."""

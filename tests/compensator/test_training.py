@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from casadical.compensator.compensator import train_all
 from casadical.compensator.iwo import IwoRun
 from casadical.compensator.network import Loss, Task, forward, random_weights, training_masks
 from casadical.compensator.saving import checksummed
-from casadical.compensator.trainers.levenberg_marquardt import advance, begin_batch
+from casadical.compensator.trainers.levenberg_marquardt import descent
 from casadical.core.basics import InputError
 from problems import small_task, smooth
 
@@ -100,17 +101,13 @@ def test_lm_reaches_an_optimum_that_scipy_cannot_improve():
     samples[1, :6] = 0
     samples[1] /= samples[1].sum()
     ridge = np.array([1e-3, 1e-2, 3e-2])
-    batch = begin_batch(task, weights, samples, ridge)
-    for _ in range(300):
-        batch = advance(task, batch, samples, ridge, tolerance=1e-14)
+    *_, batch = islice(descent(task, weights, samples, ridge, relative=1e-14), 301)
     for p in range(3):
         residuals = scipy_residuals(task, samples[p], ridge[p])
-        assert batch.cost[p] == pytest.approx(np.sum(residuals(batch.weights[p]) ** 2), rel=1e-12)
-        found = least_squares(
-            residuals, batch.weights[p], jac="3-point", method="lm", xtol=1e-13, ftol=1e-13, gtol=1e-13
-        )
+        assert batch.cost[p] == pytest.approx(np.sum(residuals(batch.point[p]) ** 2), rel=1e-12)
+        found = least_squares(residuals, batch.point[p], jac="3-point", method="lm", xtol=1e-13, ftol=1e-13, gtol=1e-13)
         assert batch.cost[p] <= 2 * found.cost * (1 + 1e-8)
-        slope = 2 * found.jac.T @ residuals(batch.weights[p])
+        slope = 2 * found.jac.T @ residuals(batch.point[p])
         assert np.abs(slope).max() < 2e-5  # starts at about 0.1
 
 
@@ -122,8 +119,8 @@ def test_the_first_step_of_lm_is_damped_by_a_thousandth_of_the_largest_curvature
     J = approx_derivative(residuals, weights[0])
     H = J.T @ J
     expected = weights[0] - np.linalg.solve(H + 1e-3 * np.diag(H).max() * np.eye(len(H)), J.T @ residuals(weights[0]))
-    batch = advance(task, begin_batch(task, weights, samples, ridge), samples, ridge, tolerance=0.0)
-    np.testing.assert_allclose(batch.weights[0], expected, atol=1e-6)
+    batch = next(descent(task, weights, samples, ridge, relative=0.0))
+    np.testing.assert_allclose((batch.point + batch.step)[0], expected, atol=1e-6)
 
 
 def test_lm_result_does_not_depend_on_its_company():
@@ -131,12 +128,8 @@ def test_lm_result_does_not_depend_on_its_company():
     total = task.targets.shape[1]
     weights = random_weights(task.layout, np.random.default_rng(2), 4)
     samples, ridge = np.full((4, total), 1 / total), np.full(4, 1e-3)
-    together, alone = (begin_batch(task, weights[:n], samples[:n], ridge[:n]) for n in (4, 1))
-    for _ in range(8):
-        together, alone = (
-            advance(task, b, samples[: len(b.weights)], ridge[: len(b.weights)]) for b in (together, alone)
-        )
-    np.testing.assert_allclose(together.weights[0], alone.weights[0], rtol=1e-7, atol=1e-9)
+    (*_, together), (*_, alone) = (islice(descent(task, weights[:n], samples[:n], ridge[:n]), 9) for n in (4, 1))
+    np.testing.assert_allclose(together.point[0], alone.point[0], rtol=1e-7, atol=1e-9)
 
 
 def test_huge_ridge_leaves_the_mean_residual():
@@ -172,9 +165,8 @@ def test_iwo_lm_final_part_starts_from_the_iwo_optimum():
     iwo = train(task, Iwo(IwoSettings(iterations=20)), seed=4)
     both = train(task, IwoThenLm(Iwo(IwoSettings(iterations=20)), lm), seed=4)
     total = task.targets.shape[1]
-    batch = begin_batch(task, iwo.weights[None], np.full((1, total), 1 / total), np.zeros(1))
-    batch = advance(task, batch, np.full((1, total), 1 / total), np.zeros(1))
-    np.testing.assert_array_equal(both.weights, batch.weights[0])
+    _, batch = islice(descent(task, iwo.weights[None], np.full((1, total), 1 / total), np.zeros(1)), 2)
+    np.testing.assert_array_equal(both.weights, batch.point[0])
 
 
 def test_backprop_descends_nearly_to_the_bottom_of_its_basin():
@@ -235,10 +227,10 @@ def test_a_problem_without_an_error_is_left_at_once() -> None:
     weights = random_weights(task.layout, np.random.default_rng(0), 1)
     exact = Task(task.layout, task.inputs, forward(task.layout, weights, task.inputs)[0], task.scale_mm, task.loss)
     samples, none = np.full((1, task.targets.shape[1]), 1 / task.targets.shape[1]), np.zeros(1)
-    batch = advance(exact, begin_batch(exact, weights, samples, none), samples, none)
+    _, batch = descent(exact, weights, samples, none)
     assert batch.cost[0] == 0
     assert not batch.active[0]
-    np.testing.assert_array_equal(batch.weights, weights)
+    np.testing.assert_array_equal(batch.point, weights)
 
 
 def test_the_second_trainer_waits_for_the_first() -> None:

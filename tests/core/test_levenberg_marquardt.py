@@ -29,9 +29,11 @@ def test_the_optima_of_many_problems_are_scipys() -> None:
 
     start = np.tile([1.0, 1.0], (6, 1))
     start[-1] = expected[-1].x
-    found, cost = levenberg_marquardt(evaluate, start, 60, least_gain=1e-14)
-    assert found == pytest.approx(np.array([e.x for e in expected]), abs=1e-6)
-    assert cost == pytest.approx([2 * e.cost for e in expected], rel=1e-9)
-    few, more = levenberg_marquardt(evaluate, start, 3)
-    assert (more >= cost - 1e-12).all()
-    assert few.shape == (6, 2)
+    *_, end = levenberg_marquardt(evaluate, start, 60, relative=1e-14)
+    assert end.point == pytest.approx(np.array([e.x for e in expected]), abs=1e-6)
+    assert end.cost == pytest.approx([2 * e.cost for e in expected], rel=1e-9)
+    assert not end.active.any()
+    states = list(levenberg_marquardt(evaluate, start, 3))
+    assert len(states) == 3
+    assert (states[-1].cost >= end.cost - 1e-12).all()
+    assert states[-1].point.shape == (6, 2)

@@ -1,30 +1,32 @@
 """Training along the gradient: back-propagation, and Levenberg-Marquardt with restarts.
 
-Back-propagation is the paper's baseline, one gradient descent from one random start. The ridge of
-Levenberg-Marquardt is chosen by cross-validation.
+Back-propagation is the paper's baseline, one gradient descent from one random start.
 
-First the ridge is chosen: every fold is trained from a few random starts at the weakest ridge, and
-from there at stronger and stronger ones; the ridge with the smallest mean square error on the
-held-out poses is taken; after two worse ones, no stronger one is tried. (From strong to weak, a
-ridge that is too strong would end the search: it sets all weights to zero, a stationary point of
-every weaker ridge.) Then the network is trained on all poses with restarts at that ridge; the one
-with the lowest cost is taken. The cost is the mean squared norm of errors plus the ridge's term,
-without the paper's maximum term.
+The ridge of Levenberg-Marquardt is chosen by cross-validation: every fold is trained from a few
+random starts at the weakest ridge, and from there at stronger and stronger ones; the ridge with the
+smallest mean square error on the held-out poses is taken; after two worse ones, no stronger one is
+tried. (From strong to weak, a ridge that is too strong would end the search: it sets all weights to
+zero, a stationary point of every weaker ridge.) Then the network is trained on all poses with
+restarts at that ridge; the one with the lowest cost is taken. The cost is the mean squared norm of
+errors plus the ridge's term, without the paper's maximum term.
 
 Many small networks are trained at once. Problem p minimises
 sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of squared weights, without the biases of the
 output layer. The sample weights m of a problem sum to one, so that a large ridge leaves only the
-mean residual. The damping follows Nielsen (1999), IMM-REP-1999-05.
+mean residual.
 """
 
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
 from casadical.compensator.network import Task, forward, gradient, outputs_and_jacobian, random_weights, training_masks
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.basics import Array, InputError
+from casadical.core.levenberg_marquardt import Descent, Evaluated, levenberg_marquardt
 
 
 @dataclass(frozen=True)
@@ -109,95 +111,49 @@ class BackpropRun:
         return ""
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """P training problems in progress.
-
-    weights : weights of each network, shape (P, count)
-    damping : damping of the next step, shape (P,); below zero: to be set in the first step
-    growth : factor on the damping after the next step that is refused, shape (P,)
-    cost : `penalised_cost` at the weights, shape (P,)
-    active : 1 for problems that are not finished, else 0, shape (P,)
-    """
-
-    weights: Array
-    damping: Array
-    growth: Array
-    cost: Array
-    active: Array
-
-
-def begin_batch(task: Task, weights: Array, samples: Array, ridge: Array) -> Batch:
-    """Return P training problems with no step done.
-
-    weights : start of each network, shape (P, count)
-    samples : weight of each pose, shape (P, N); ridge : of each problem, shape (P,)
-    """
-    P = len(weights)
-    cost = penalised_cost(task, weights, samples, ridge)
-    return Batch(weights, np.full(P, -1.0), np.full(P, 2.0), cost, np.ones(P))
-
-
 def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> Array:
     """Return the cost of every problem, shape (P,), in squared units of the output layer.
 
     It is the weighted sum of squared errors plus the ridge times the sum of squared weights.
 
-    weights, samples, ridge : as of `begin_batch`
+    weights, samples, ridge : as of `descent`
     """
     errors = forward(task.layout, weights, task.inputs) - task.targets
     fit = np.einsum("pon,pon,pn->p", errors, errors, samples)
     return np.asarray(fit + ridge * ((weights * _penalty_mask(task)) ** 2).sum(axis=1), dtype=np.float64)
 
 
-def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: float = 1e-7) -> Batch:
-    """Return the batch after one damped step of every active problem.
+def descent(task: Task, weights: Array, samples: Array, ridge: Array, relative: float = 1e-7) -> Iterator[Descent]:
+    """Yield the state of P training problems before each step, as long as one has not ended.
 
-    samples, ridge : as of `begin_batch`
-    tolerance : relative reduction of the cost in a step at or below which a problem ends
+    weights : start of each network, shape (P, count)
+    samples : weight of each pose, shape (P, N); ridge : of each problem, shape (P,)
+    relative : reduction of the cost in a step at or below which a problem ends
     """
-    at = np.flatnonzero(batch.active)
-    new = {name: value.copy() for name, value in vars(batch).items()}
-    # The Jacobian is computed in parts of at most 4,000,000 doubles, to limit memory.
-    size = max(1, 4_000_000 // (task.layout.count * task.targets.size))
-    for part in (at[i : i + size] for i in range(0, len(at), size)):
-        _advance_part(task, new, part, samples[part], ridge[part], tolerance)
-    return Batch(**new)
 
+    def evaluate(points: Array) -> Evaluated:
+        """Return the cost of each problem, and the function of its normal equations."""
 
-def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ridge: Array, tolerance: float) -> None:
-    """Do one damped step of the problems of indices `at`, and write the results into `new`.
+        def sums(mask: Array) -> tuple[Array, Array]:
+            """Return Hessians and negative gradients, halved, of the problems of a mask."""
+            at = np.flatnonzero(mask)
+            # The Jacobian is computed in parts of at most 4,000,000 doubles, to limit memory.
+            size = max(1, 4_000_000 // (task.layout.count * task.targets.size))
+            parts = (at[i : i + size] for i in range(0, len(at), size))
+            normal = [_normal_equations(task, points[k], samples[k], ridge[k]) for k in parts]
+            slope, curvature = map(np.concatenate, zip(*normal, strict=True))
+            return curvature, -slope
 
-    new : fields of a `Batch` by name
-    samples, ridge : sample weights and ridges of these problems alone
-    tolerance : as of `advance`
-    """
-    weights, cost = new["weights"][at], new["cost"][at]
-    slope, curvature = _normal_equations(task, weights, samples, ridge)
-    diagonal = np.einsum("pii->pi", curvature)
-    damping = np.where(new["damping"][at] < 0, 1e-3 * diagonal.max(axis=1), new["damping"][at])
-    damping = np.maximum(damping, 1e-14 * diagonal.max(axis=1) + np.finfo(float).tiny)  # never singular
-    diagonal += damping[:, None]
-    step = -np.linalg.solve(curvature, slope[..., None])[..., 0]
-    trial = weights + step
-    trial_cost = penalised_cost(task, trial, samples, ridge)
-    predicted = np.einsum("pi,pi->p", step, damping[:, None] * step - slope)
-    gain = (cost - trial_cost) / np.maximum(predicted, np.finfo(float).tiny)
-    better = (trial_cost < cost) & np.isfinite(trial_cost)
-    new["weights"][at] = np.where(better[:, None], trial, weights)
-    new["cost"][at] = np.where(better, trial_cost, cost)
-    shrink = np.maximum(1 / 3, 1 - (2 * np.clip(gain, 0, 1) - 1) ** 3)
-    new["damping"][at] = damping * np.where(better, shrink, new["growth"][at])
-    new["growth"][at] = np.where(better, 2.0, 2 * new["growth"][at])
-    small = better & (cost - trial_cost <= tolerance * cost)
-    stuck = ~better & (predicted <= 1e-12 * cost)
-    new["active"][at] = ~(small | stuck | (new["growth"][at] > 1e6))
+        return penalised_cost(task, points, samples, ridge), sums
+
+    most, scale = sys.maxsize, np.ones_like
+    return levenberg_marquardt(evaluate, weights, most, scale=scale, least=1e-14, relative=relative)
 
 
 def _normal_equations(task: Task, weights: Array, samples: Array, ridge: Array) -> tuple[Array, Array]:
     """Return half the cost's gradient, (P, count), and Gauss-Newton Hessian, (P, count, count).
 
-    weights, samples, ridge : as of `begin_batch`
+    weights, samples, ridge : as of `descent`
     """
     outputs, jacobian = outputs_and_jacobian(task.layout, weights, task.inputs)
     count, total = weights.shape
@@ -268,27 +224,23 @@ class LmRun:
         self._candidates = trainer.ridges[::-1]
         self.steps, self.level, self.inner = 0, 0, 0
         self.chosen = ""  # in words, in place of the ridge
+        # None while the cross-validation that chooses it is running
         self.ridge: float | None = trainer.ridges[0] if len(trainer.ridges) == 1 or self.folds < 2 else None
         self.scores: list[float] = []
         self._unit = float(np.mean(np.sum(task.targets**2, axis=0)))
-        self.batch = self._begin()
-
-    @property
-    def choosing_ridge(self) -> bool:
-        """Return whether the cross-validation that chooses the ridge is still running."""
-        return self.ridge is None
+        self._begin()
 
     def step(self) -> None:
         """Do one damped step of all problems, and begin the next ridge when its steps are done."""
-        self.batch = advance(self.task, self.batch, self.samples, self.ridges)
+        self.batch = next(self._descent)
         self.steps, self.inner = self.steps + 1, self.inner + 1
         # There are 100 iterations at the weakest ridge, and 20 at each stronger one.
-        if self.choosing_ridge and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
+        if self.ridge is None and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
             self._next_ridge()
 
     def reasons(self) -> tuple[str, ...]:
         """Return why the training is over; empty as long as it continues."""
-        if self.choosing_ridge:
+        if self.ridge is None:
             return ()
         if not self.batch.active.any():
             return ("converged: no start gains any more",)
@@ -296,7 +248,7 @@ class LmRun:
 
     def best(self) -> Array:
         """Return the weights of the lowest cost in the current batch, shape (count,)."""
-        return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
+        return np.asarray(self.batch.point[np.argmin(self.batch.cost)])
 
     def note(self) -> str:
         """Return the ridge and how it was chosen, in words."""
@@ -306,30 +258,26 @@ class LmRun:
             return f"ridge {self.ridge:g}, given"
         return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"
 
-    def set_problem(self, count: int) -> None:
-        """Set sample weights and ridges of a batch of `count` problems: folds or final training."""
-        total, ridge = self.task.targets.shape[1], self.ridge
-        if ridge is None:
-            ridge = self._candidates[self.level]
-            masks = np.repeat(training_masks(total, self.folds, self.seed), self.trainer.fold_starts, axis=0)
-        else:
-            masks = np.ones((count, total))
-        self.samples: Array = masks / masks.sum(axis=1, keepdims=True)
-        self.ridges = np.full(count, ridge * self._unit)
-
-    def _begin(self, weights: Array | None = None) -> Batch:
-        """Return the batch of the current ridge with no step done.
+    def _begin(self, weights: Array | None = None) -> None:
+        """Begin the problems, folds or the final training, of the current ridge.
 
         weights : start of each problem; None: random ones, or the given starts of the final one
         """
         if weights is None:
-            count = self.folds * self.trainer.fold_starts if self.choosing_ridge else self.trainer.restarts
-            random = np.random.default_rng((self.seed, int(self.choosing_ridge)))
+            final, t = self.ridge is not None, self.trainer
+            random = np.random.default_rng((self.seed, int(not final)))
+            count = t.restarts if final else self.folds * t.fold_starts
             weights = random_weights(self.task.layout, random, count)
-            if not self.choosing_ridge and self.starts is not None:
-                weights = self.starts
-        self.set_problem(len(weights))
-        return begin_batch(self.task, weights, self.samples, self.ridges)
+            weights = self.starts if final and self.starts is not None else weights
+        total, ridge = self.task.targets.shape[1], self.ridge
+        masks = np.ones((len(weights), total))
+        if ridge is None:
+            ridge, folds = self._candidates[self.level], training_masks(total, self.folds, self.seed)
+            masks = np.repeat(folds, self.trainer.fold_starts, axis=0)
+        self.samples: Array = masks / masks.sum(axis=1, keepdims=True)
+        ridges = np.full(len(weights), ridge * self._unit)
+        self._descent = descent(self.task, weights, self.samples, ridges)
+        self.batch = next(self._descent)
 
     def _next_ridge(self) -> None:
         """Score the current ridge on held-out poses and begin the next or the final training.
@@ -338,7 +286,7 @@ class LmRun:
         """
         cost = self.batch.cost.reshape(self.folds, -1)
         chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
-        weights, inputs, targets = self.batch.weights[chosen], self.task.inputs, self.task.targets
+        weights, inputs, targets = self.batch.point[chosen], self.task.inputs, self.task.targets
         squares = (forward(self.task.layout, weights, inputs) - targets) ** 2
         held_out = (self.samples[chosen] == 0)[:, None]
         self.scores.append(float(np.sum(squares * held_out) / targets.shape[1]))
@@ -346,6 +294,6 @@ class LmRun:
         self.level, self.inner = self.level + 1, 0
         if self.level == len(self._candidates) or self.level > best + 2:
             self.ridge = self._candidates[best]
-            self.batch = self._begin()
+            self._begin()
         else:
-            self.batch = self._begin(self.batch.weights)
+            self._begin(self.batch.point)

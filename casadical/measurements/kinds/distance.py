@@ -125,8 +125,9 @@ def _far_end(distance: Array, p: Array) -> Array:
 
         return (residual**2).sum(axis=1), sums
 
-    (P,), _ = levenberg_marquardt(evaluate, P[None], 20, floor=1e-9, least_gain=1e-12)
-    return np.asarray(P + centre)
+    scale = lambda diagonal: diagonal + 1e-9  # noqa: E731
+    *_, end = levenberg_marquardt(evaluate, P[None], 20, scale=scale, absolute=1e-12)
+    return np.asarray(end.point[0] + centre)
 
 
 def positive_lengths(columns: Columns, name: str) -> Array:

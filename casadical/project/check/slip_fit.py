@@ -378,8 +378,9 @@ class LengthFit(SlipFit):
             return (weight * residual**2).sum(axis=1), sums
 
         # The floor regularises what no length determines, as a part of the tool of a planar arm.
-        best, _ = levenberg_marquardt(evaluate, self._start(p, length, place), steps, floor=1e-6 * len(y))
-        return np.asarray(length - lines(best)[1])
+        start, floor = self._start(p, length, place), 1e-6 * len(y)
+        *_, end = levenberg_marquardt(evaluate, start, steps, scale=lambda diagonal: diagonal + floor)
+        return np.asarray(length - lines(end.point)[1])
 
     @staticmethod
     def _start(p: Array, length: Array, place: Array) -> Array:
