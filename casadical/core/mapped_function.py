@@ -174,19 +174,15 @@ def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
     for module in (__file__, sx_instructions.__file__):
         key.update(Path(module).read_bytes())
     stem = f"{function.name()}-{key.hexdigest()[:32]}"
-    library = _cached_library(folder, stem)
+    library = None
+    for cached in sorted(folder.glob(f"{stem}-*.so")):
+        if cached.name == _library_name(stem, cached):
+            library = cached
+            break
+        cached.unlink(missing_ok=True)  # its content has changed
     if library is None and make and (code := source(function)) is not None:
         library = _built_library(folder, stem, cc, code, function)
     return None if library is None else MachineCode(function, library)
-
-
-def _cached_library(folder: Path, stem: str) -> Path | None:
-    """Return the cached library STEM-HASH.so, or None; one whose content has changed is removed."""
-    for library in sorted(folder.glob(f"{stem}-*.so")):
-        if library.name == _library_name(stem, library):
-            return library
-        library.unlink(missing_ok=True)
-    return None
 
 
 def _library_name(stem: str, library: Path) -> str:

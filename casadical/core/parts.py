@@ -508,23 +508,16 @@ def lacks_masses(arm: Arm) -> bool:
 def with_estimated_masses(robot: A) -> A:
     """Return the robot with masses [kg] and mass centres of all links estimated from its reach.
 
-    It is marked by `masses`, and their prior standard deviations are wide.
+    It is marked by `masses`. The prior standard deviation of each coordinate of a mass centre is a
+    tenth of the reach; for the masses and their prior see the module's docstring.
     """
-    # Estimated mass of each link divided by that of the one before.
-    link_mass_ratio = 0.5
-    shares = link_mass_ratio ** np.arange(robot.n)
-    # Estimated mass of all moving links together, divided by the cube of the reach [kg/m^3].
-    link_mass_per_cubed_reach = 10.0
-    masses = link_mass_per_cubed_reach * robot.reach**3 * shares / shares.sum()
+    shares = 0.5 ** np.arange(robot.n)
+    masses = 10.0 * robot.reach**3 * shares / shares.sum()
     # The mass centre of a link is half way to the next link's origin, of the last one to the tool.
     ends = [np.array([j.a, -np.sin(j.alpha) * j.d, np.cos(j.alpha) * j.d]) for j in robot.joints[1:]]
     joints = tuple(
         replace(joint, body=Body(float(f"{mass:.3g}"), np.asarray(end / 2)))
         for joint, mass, end in zip(robot.joints, masses, [*ends, robot.tool.T[:3, 3]], strict=True)
     )
-    # Prior standard deviation of each estimated mass, divided by the mass.
-    estimated_mass_prior_share = 2.0
-    # Prior standard deviation of each coordinate of an estimated mass centre, divided by the reach.
-    estimated_centre_prior_of_reach = 0.1
-    width = BodyWidth(estimated_mass_prior_share, float(f"{estimated_centre_prior_of_reach * robot.reach:.2g}"))
+    width = BodyWidth(2.0, float(f"{0.1 * robot.reach:.2g}"))
     return replace(robot, joints=joints, masses="estimated", body_width=width)

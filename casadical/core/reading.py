@@ -201,10 +201,8 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
 
 def _integer(text: str) -> int:
     """Return the integer of a JSON number. Raises ValueError for more than 100 digits."""
-    # Largest number of digits of an integer in JSON; longer ones are refused.
-    max_integer_digits = 100
-    if len(text) > max_integer_digits:
-        raise ValueError(f"an integer of {len(text)} digits; allowed: up to {max_integer_digits}")
+    if len(text) > 100:
+        raise ValueError(f"an integer of {len(text)} digits; allowed: up to 100")
     return int(text)
 
 
@@ -290,11 +288,8 @@ def number_fault(value: float) -> str:
 
 def text_fault(text: str) -> str:
     """Return as text what is wrong with a name or title of a file; empty for a usable one."""
-    # Largest length of a text in a file, such as a name or title [characters]; longer ones are
-    # refused.
-    max_text_characters = 10_000
-    if len(text) > max_text_characters:
-        return f"has {len(text)} characters; allowed: up to {max_text_characters}"
+    if len(text) > 10_000:
+        return f"has {len(text)} characters; allowed: up to 10000"
     bad = next((c for c in text if unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t"), None)
     return "" if bad is None else f"holds the control character {bad!a}; remove it"
 

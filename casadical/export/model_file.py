@@ -98,12 +98,8 @@ def standard_row(at: Array, following: Array, like: float) -> tuple[float, float
     local = np.array(inverse(at)) @ following
     z, p = local[:3, 2], local[:3, 3]
     normal = np.array([-z[1], z[0], 0.0])  # across both axes
-    # Largest sine of the angle between two axes at which they count as parallel, and largest
-    # distance [m] at which parallel ones count as coincident, so that their common normal is not
-    # unique.
-    parallel_tolerance = 1e-9
-    if np.linalg.norm(normal) < parallel_tolerance:
-        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > parallel_tolerance else np.array([1.0, 0, 0])
+    if np.linalg.norm(normal) < 1e-9:  # parallel, or coincident: many common normals
+        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > 1e-9 else np.array([1.0, 0, 0])
         on = p - p[2] / z[2] * z
     else:
         # The point of the next axis nearest to this one; its offset from it is along the normal.
@@ -131,7 +127,6 @@ def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
     Raises InputError: the nominal robot's twists are more than 3 deg from those of a UR.
     """
     twists = np.array([j.alpha for j in nominal.joints])
-    # Names that the UR driver gives to a robot's links, in the order of the joints.
     ur_links = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
     # Twists alpha [rad] of the rows of a UR robot's DH table, in casadical's convention.
     ur_twists_rad = np.deg2rad([0, 90, 0, 0, 90, -90])

@@ -189,29 +189,21 @@ def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]
             f"{words}: so the model explains {100 * (1 - rest[k]):.0f} % of the torque of {names[k]} without friction, "
             f"as it stands {100 * (1 - plain[k]):.0f} %. Turn the sign or the order of columns (or of the model's axes)"
         )
-    # Friction that drives a joint is reported from 20 % of the variance of its torque.
+    # Friction that drives a joint contradicts physics: the sign of torque or speed is wrong. It is
+    # reported from 20 % of the variance of the joint's torque.
     model = dynamics.torque(states.q, states.v, states.a)
     for k, name in enumerate(names):
-        share = _driving_friction_share(states.v[:, k], states.tau[:, k], model[:, k])
+        v, tau = states.v[:, k], states.tau[:, k]
+        A = np.column_stack([_friction_columns(v), model[:, k]])
+        size = np.linalg.norm(A, axis=0).clip(1e-12)
+        friction = A[:, 1:3] @ (np.linalg.lstsq(A / size, tau, rcond=None)[0] / size)[1:3]
+        varying, drives = float(np.var(tau)), float(friction @ v) < 0
+        share = float(np.var(friction)) / varying if varying > 0 and drives else 0.0
         if share > 0.2 and words != against.format(name):
             yield (
                 f"{against.format(name)}: its friction would drive it ({100 * share:.0f} % of what it moves by). Turn "
                 "the sign of the column; until then its friction and load are not identified"
             )
-
-
-def _driving_friction_share(v: Array, tau: Array, model: Array) -> float:
-    """Return the fitted friction's share of one joint's torque variance if it delivers power, or 0.
-
-    Friction that delivers power contradicts physics: the sign of torque or speed is wrong.
-
-    v, tau, model : velocity, logged torque and the rigid body model's torque, shape (N,) each
-    """
-    A = np.column_stack([_friction_columns(v), model])
-    x = np.linalg.lstsq(A / (size := np.linalg.norm(A, axis=0).clip(1e-12)), tau, rcond=None)[0] / size
-    friction = A[:, 1:3] @ x[1:3]
-    varying = float(np.var(tau))
-    return float(np.var(friction)) / varying if varying > 0 and float(friction @ v) < 0 else 0.0
 
 
 def _unexplained_shares(dynamics: Dynamics, states: States) -> Array:

@@ -148,21 +148,16 @@ class Dynamics:
     def sigma(self) -> Array:
         """Return the prior standard deviation of each coordinate of `at`, (11 n,) [1 or m].
 
-        It follows from whether inertias are declared, and from the robot's `body_width`.
+        It follows from the robot's `body_width` and from whether inertias are declared: of the
+        logarithm of an estimated inertia of a link it is 1, of a rotor 2, of a declared one 0.1.
         """
         width, drive = self.robot.body_width, self.robot.drive
         sigma = []
-        # Prior standard deviation of the logarithm of a link's estimated moment of inertia.
-        estimated_inertia_log_sigma = 1.0
         for joint in self.robot.joints:
-            shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else estimated_inertia_log_sigma
+            shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else 1.0
             sigma += [width.share / 2, *[width.centre] * 3, *[shape / 2] * 6]
         stated = drive is not None and drive.inertia_at_joint(self.robot.n) is not None
-        # Prior standard deviation of the logarithm of a declared rotor inertia.
-        rotor_log_sigma = 0.1
-        # Prior standard deviation of the logarithm of an estimated rotor inertia.
-        estimated_rotor_log_sigma = 2.0
-        return np.array([*sigma, *[rotor_log_sigma if stated else estimated_rotor_log_sigma] * self.robot.n])
+        return np.array([*sigma, *[0.1 if stated else 2.0] * self.robot.n])
 
     def at(self, coordinates: Array) -> Array:
         """Return physical parameters pi, shape (11 n,) [SI], for any coordinates, shape (11 n,).

@@ -60,10 +60,8 @@ class EffectTable(TomlTable):
         """
         effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
         sizes = effect.sizes()
-        # Maximum number of parameters of one effect, more than an error curve has for all joints.
-        max_effect_parameters = 3000
-        if len(sizes) > max_effect_parameters:
-            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {max_effect_parameters}")
+        if len(sizes) > 3000:  # more than an error curve has for all joints
+            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to 3000")
         if wrong := [name for name, (size, _) in sizes.items() if not (size > 0 and math.isfinite(size))]:
             raise InputError(f"settings: one sigma of {wrong[0]} is {sizes[wrong[0]][0]:g}; it must be above 0")
         for name, given in self.values.items():

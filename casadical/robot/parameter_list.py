@@ -112,12 +112,9 @@ def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
     """
     names = bar_names(k)
     ground = abs(arm.joints[loop.driven - 1].a)
-    # Relative difference of opposite bars below which a four-bar counts as a parallelogram.
-    parallelogram_tolerance = 0.02
-    parallelogram = (
-        abs(loop.crank - loop.rocker) < parallelogram_tolerance * loop.rocker
-        and abs(loop.coupler - ground) < parallelogram_tolerance * ground
-    )
+    # Opposite bars of a parallelogram differ by less than 2 %.
+    opposite = ((loop.crank, loop.rocker), (loop.coupler, ground))
+    parallelogram = all(abs(a - b) < 0.02 * b for a, b in opposite)
     scale = f"only the difference {names['crank']} - {names['rocker']} turns the driven link of a parallelogram"
     for bar, name in names.items():
         fixed_reason = scale if bar == "rocker" and parallelogram else ""

@@ -216,10 +216,8 @@ def _without_rounding_digits(key: str, value: Any) -> Any:
         return value
     if key.startswith("stiffness"):
         return rounded_at(value, value, 7)
-    # Unit suffix of a key -> decimals of its values that do not depend on a processor's rounding:
-    # lengths [mm], angles [deg], accelerations [m/s^2].
-    decimals_of_unit = {"_mm": 8, "_deg": 9, "_s2": 9}
-    return round(value, next((n for end, n in decimals_of_unit.items() if key.endswith(end)), 15)) + 0.0
+    decimals = {"_mm": 8, "_deg": 9, "_s2": 9}
+    return round(value, next((n for end, n in decimals.items() if key.endswith(end)), 15)) + 0.0
 
 
 def _mm(values: Any) -> Any:

@@ -240,10 +240,8 @@ class _Gravity(TomlTable):
     @model_validator(mode="after")
     def _possible(self) -> _Gravity:
         """Refuse gravity that is too large, as in another unit."""
-        # Maximum magnitude of gravity [m/s^2]; larger values are in another unit, such as mm/s^2.
-        max_gravity = 30.0
-        if np.linalg.norm(self.vector_m_per_s2) > max_gravity:
-            allowed = f"at most {max_gravity:g} m/s2, on Earth {STANDARD_GRAVITY:.3g}"
+        if np.linalg.norm(self.vector_m_per_s2) > 30.0:
+            allowed = f"at most 30 m/s2, on Earth {STANDARD_GRAVITY:.3g}"
             raise FaultError("vector_m_per_s2", f"no planet has that; allowed: {allowed}")
         return self
 

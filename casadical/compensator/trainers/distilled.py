@@ -49,10 +49,9 @@ class GaussianProcess:
         few, wanted = inputs[:MAX_POSES_FOR_LENGTHS], targets[:MAX_POSES_FOR_LENGTHS]
         rms = np.log(np.sqrt(np.mean(wanted**2)) + 1e-12)
         width = inputs.shape[1]
-        # Lower and upper bound of the length scales [unit of the inputs, half ranges of joints].
-        length_range = (0.1, 100.0)
-        low = np.r_[np.full(width, np.log(length_range[0])), rms - 4, rms - 5]
-        high = np.r_[np.full(width, np.log(length_range[1])), rms + 2, rms + 1]
+        # Length scales are between 0.1 and 100 half ranges of the joints.
+        low = np.r_[np.full(width, np.log(0.1)), rms - 4, rms - 5]
+        high = np.r_[np.full(width, np.log(100.0)), rms + 2, rms + 1]
         starts = [np.r_[np.full(width, np.log(s)), rms, rms - 1] for s in (1.0, 3.0)]  # of half the box
         logs = min(
             (_minimise_by_sign_steps(few, wanted, start, low, high, steps) for start in starts), key=lambda end: end[1]

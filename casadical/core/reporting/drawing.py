@@ -63,9 +63,8 @@ def plain(text: object) -> str:
 def draw(figure: Figure) -> Picture:
     """Return a figure drawn by plotly. Raises InputError where plotly is not installed."""
     picture = optional("plotly.graph_objects", MISSING_PLOTLY).Figure()
-    # CSS font families of all text.
-    font_families = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-    font = {"family": font_families, "size": 12.5}
+    families = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+    font = {"family": families, "size": 12.5}
     at_top = {"x": 0, "xref": "container", "y": 1, "yref": "container", "yanchor": "top"}
     title_font = {"size": 15, "color": INK_COLOUR, "weight": 600}
     label = {"align": "left", "namelength": -1, "bgcolor": PAPER_COLOUR, "bordercolor": LINE_COLOUR}
@@ -161,7 +160,6 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
         return
     marker = {"color": colour, "symbol": s.symbol, "size": s.size}
     line = {"color": colour, "width": s.width, "dash": s.dash}
-    # Mode of plotly's scatter trace, by kind of a series.
     mode_by_kind = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
     trace["mode"] = mode_by_kind[s.kind] + ("+text" if len(s.text) else "")
     if s.kind == "area":

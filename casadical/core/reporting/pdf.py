@@ -68,7 +68,6 @@ def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
     scale : factor on the size of type, distances and figures, not on the footer or figures' type
     Raises InputError where fpdf2 is not installed.
     """
-    # Message of the InputError where fpdf2 is not installed.
     missing_fpdf = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
     sheet: Sheet = optional("fpdf", missing_fpdf).FPDF(format="A4")
     sheet.set_auto_page_break(False)

@@ -163,10 +163,7 @@ class Shown:
 
     def __repr__(self) -> str:
         line = f"{type(self).__name__}{self._line}"
-        # Largest length of the one-line representation of a result [characters]; longer ones are
-        # cut.
-        max_repr_characters = 160
-        return f"<{line if len(line) <= max_repr_characters else line[: max_repr_characters - 3] + '...'}>"
+        return f"<{line if len(line) <= 160 else line[:157] + '...'}>"
 
 
 def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:

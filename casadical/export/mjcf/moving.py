@@ -125,7 +125,6 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
         return
     up = -gravity / np.linalg.norm(gravity)
     alone = {"contype": "0", "conaffinity": "0"}
-    # Radius of the ball at the measured point that touches a surface [m].
     ball_radius_m = 0.005
     place = {"pos": numbers(*((height - ball_radius_m) * up)), "zaxis": numbers(*up), "size": "0 0 0.01"}
     ET.SubElement(world, "geom", {"name": "floor", "type": "plane", **place, **alone})
