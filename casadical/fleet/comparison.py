@@ -10,7 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.statistics import first_of_best, ranked
+from casadical.core.linear_gaussian.columns import array_columns
+from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS, marginals_of, take_over_cache
+from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.statistics import best_of, first_of_best, ranked, stepwise
 from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet import evidence
 from casadical.fleet.changes import MIN_ODDS_OF_CHANGE, Amount, Change, Comparison, Rival
@@ -32,24 +36,20 @@ MOVED_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Hypotheses:
-    """All changes of one candidate with one course, one for each onset.
+class Hypothesis:
+    """A change of one candidate with one course and one onset.
 
     candidate, course : what changes, and how over time
-    since : first campaign that shows the change, from 0, shape (onsets,)
-    courses : k factors of the change in each campaign, shape (onsets, campaigns, k)
-    H, b : information and score of its amplitudes, as of `evidence.marginal_information`
-    logs : logarithm of the Bayes factor times the prior weight, for each size on the grid
-        `evidence.KAPPAS`, shape (onsets, kappas)
+    since : first campaign that shows the change, from 0
+    weight : prior probability
+    group : indices of its columns in the linear model
     """
 
     candidate: Candidate
     course: Course
-    since: Array
-    courses: Array
-    H: Array
-    b: Array
-    logs: Array
+    since: int
+    weight: float
+    group: Array
 
 
 def compare(
@@ -77,30 +77,43 @@ def compare(
     times = np.arange(len(days)) / CAMPAIGNS_PER_YEAR
     if np.isfinite(days).all():
         times = (days - days[0]) / DAYS_PER_YEAR
-    accepted, remaining, swap = changes_in(information, candidates, times, dated=first.day is not None)
-    model = _model_given(information, accepted)
-    changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
-
-    def model_before(c: Candidate) -> evidence.Model:
-        """Return the model given the accepted changes, less those of the last campaign alone in c.
-
-        Changes that only the last campaign shows are excluded if they share a parameter with c.
-        """
-        others = [a for a in accepted if a.courses[:-1].any() or not {*a.candidate.names} & {*c.names}]
-        return _model_given(information, others)
-
-    seen, placements = _detectable_sizes(model_before, candidates, first), _placements(campaigns, names, model)
+    model, hypotheses = evidence_of(*information, candidates, times, dated=first.day is not None)
+    accepted, remaining, swap = changes_in(model, hypotheses)
+    changes = tuple(_change(model, hypotheses, accepted, k, first, swap) for k in range(len(accepted)))
+    seen = _detectable_sizes(model, hypotheses, accepted, first)
+    placements = _placements(campaigns, names, *_given(model, accepted))
     noted = tuple(dict.fromkeys(notes))
     return Comparison(tuple(campaigns), names, changes, remaining, tuple(seen), tuple(placements), noted)
 
 
+def evidence_of(
+    H: Array, b: Array, spread: Array, candidates: Sequence[Candidate], times: Array, *, dated: bool
+) -> tuple[LinearModel, list[Hypothesis]]:
+    """Return the linear model of all campaigns, and the possible changes, whose columns it has.
+
+    H, b, spread : as of `evidence.model_of_campaigns`
+    times : time of each campaign, shape (n,) [years]; dated : whether they come from dates
+    """
+    each = list(weighted_hypotheses(candidates, evidence.RELATIVE_FREQUENCY, times, dated=dated))
+    changes = [(candidate, factors) for candidate, *_, factors in each]
+    model, groups = evidence.model_of_campaigns(H, b, spread, candidates, changes)
+    # The models of all steps of the search share these sums.
+    marginals_of(model).sums.gram_matrices(groups)
+    flat = [
+        (c, course, int(k), float(w))
+        for c, course, weight, since, _ in each
+        for k, w in zip(since, weight, strict=True)
+    ]
+    return model, [Hypothesis(*own, group) for own, group in zip(flat, groups, strict=True)]
+
+
 def shared_information(
     campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool
-) -> tuple[tuple[str, ...], evidence.SharedInformation, tuple[Candidate, ...]]:
+) -> tuple[tuple[str, ...], tuple[Array, Array, Array], tuple[Candidate, ...]]:
     """Return the names of the shared parameters, the information on them, and the candidates.
 
-    The information is about the values of the first campaign, with day-to-day differences
-    marginalised; the candidates are those for changes in these parameters.
+    The information, score and prior standard deviations are about the values of the first campaign
+    (see `evidence.model_of_campaigns`); the candidates are those for changes in these parameters.
 
     same_tool, same_frame : as of `compare`
     """
@@ -124,34 +137,27 @@ def shared_information(
     # over a short range of a joint high harmonics look like much greater low ones, and a prior that
     # contradicts the campaigns together would look like a change after the first of them.
     spread[[n.startswith("joint_error_curve") for n in names]] *= 100.0
-    candidates = evidence.candidates_of(first.robot, names)
-    information = evidence.SharedInformation(H, b, spread**-2.0).with_jitter(*evidence.daily(candidates))
-    return names, information, candidates
+    return names, (H, b, spread), evidence.candidates_of(first.robot, names)
 
 
 @dataclass(frozen=True, eq=False)
-class _Accepted:
+class Accepted(Hypothesis):
     """The most probable change of a step of the search.
 
-    candidate : what changes
-    courses : k factors of the change in each campaign, shape (n, k)
     kappa : most probable ratio of the change's size to its usual one
-    own : all hypotheses of its candidate with its course, one for each onset
-    odds : natural logarithm of the odds of any change in this step, given those accepted before
-    every : hypotheses of all candidates and courses in this step
+    masses : logarithm of Bayes factor times prior probability of every hypothesis, given the
+        changes that were accepted before, minus infinity for those that were not compared
+    score : the same for the most probable size of this one
+    odds : natural logarithm of the odds of any change in this step
     """
 
-    candidate: Candidate
-    courses: Array
     kappa: float
-    own: _Hypotheses
+    masses: Array
+    score: float
     odds: float
-    every: Sequence[_Hypotheses]
 
 
-def changes_in(
-    information: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
-) -> tuple[list[_Accepted], float, tuple[str, float]]:
+def changes_in(model: LinearModel, hypotheses: Sequence[Hypothesis]) -> tuple[list[Accepted], float, tuple[str, float]]:
     """Return the accepted changes, the log odds of an additional one, and a rival explanation.
 
     Several changes are compared with another robot plus what else changed then; the rival
@@ -159,14 +165,27 @@ def changes_in(
     Whether there is any change is decided without another robot: it has so many parameters that a
     change which only it could explain would be a false one.
 
-    times : time of each campaign, shape (n,) [years]; dated : whether they come from dates
+    model, hypotheses : as of `evidence_of`
     """
-    accepted, remaining, score = _stepwise_changes(
-        information, [c for c in candidates if c.kind != ANOTHER_ROBOT], times, dated
-    )
+
+    def sure(change: Accepted) -> bool:
+        """Return whether some change is probable enough to be accepted."""
+        return bool(change.odds >= np.log(MIN_ODDS_OF_CHANGE))
+
+    def search(swap: bool) -> tuple[list[Accepted], float, float]:
+        """Return at most four changes, the log odds of one more, and the log evidence of all.
+
+        The latter is the sum of the changes' log masses, by which two such lists are compared.
+        swap : whether another robot is among the candidates
+        """
+        found, again, last = stepwise(lambda given: _most_probable_change(model, hypotheses, given, swap=swap), sure, 4)
+        accepted = list({a.candidate.label: a for a in again if sure(a)}.values())
+        return accepted, last.odds, sum(a.score for a in found)
+
+    accepted, remaining, score = search(swap=False)
     if len(accepted) < 2:
         return accepted, remaining, ("", 0.0)
-    swapped, more, other = _stepwise_changes(information, candidates, times, dated)
+    swapped, more, other = search(swap=True)
     labels = [a.candidate.label for a in swapped]
     if ANOTHER_ROBOT not in labels:
         return accepted, remaining, ("", 0.0)
@@ -177,83 +196,54 @@ def changes_in(
     return swapped, more, (" with ".join(swap), 1 - chance)
 
 
-def _stepwise_changes(
-    information: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
-) -> tuple[list[_Accepted], float, float]:
-    """Return at most four changes found one by one, log odds of one more, and log evidence of all.
+def _given(model: LinearModel, accepted: Sequence[Accepted]) -> tuple[LinearModel, Array]:
+    """Return the model with accepted changes' sizes as priors, and the indices of their columns.
 
-    The log odds are those of an additional change against none. The log evidence is the sum of the
-    changes' logarithms of Bayes factor times prior weight, by which two such lists are compared.
-
-    times, dated : as of `changes_in`
+    The prior standard deviations of their amplitudes are `kappa` times the usual sizes.
     """
-    accepted: list[_Accepted] = []
-    score = 0.0
-    while True:
-        best = _most_probable_change(information, candidates, times, dated, accepted)
-        if best.odds < np.log(MIN_ODDS_OF_CHANGE) or len(accepted) == 4:
-            break
-        accepted.append(best)
-        score += float(best.own.logs.max())
-    if len(accepted) > 1:  # each is searched again, given the others
-        for k in range(len(accepted)):
-            others = [a for i, a in enumerate(accepted) if i != k]
-            accepted[k] = _most_probable_change(information, candidates, times, dated, others)
-        accepted = [a for a in accepted if a.odds >= np.log(MIN_ODDS_OF_CHANGE)]
-        accepted = list({a.candidate.label: a for a in accepted}.values())
-    return accepted, best.odds, score
-
-
-def _model_given(information: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
-    """Return the posterior of theta and of the amplitudes of accepted changes from all campaigns.
-
-    Theta is the deviation of the p shared parameters, in units of their scale; the amplitudes have
-    prior standard deviations of `kappa` times the usual sizes of their candidates.
-    """
-    n, p = information.score.shape
-    columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in accepted]
-    sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in accepted]
-    whole = np.concatenate([np.zeros((n, p, 0)), *columns], axis=2)
-    return evidence.solve(information, whole, np.concatenate([np.zeros(0), *sizes]))
+    prior = np.ones(model.width)
+    for a in accepted:
+        prior[a.group] = a.kappa
+    given = replace(model, cause_prior=prior)
+    take_over_cache(given, model)
+    return given, np.unique(np.concatenate([NO_COLUMNS, *(a.group for a in accepted)]))
 
 
 def _most_probable_change(
-    information: evidence.SharedInformation,
-    candidates: Sequence[Candidate],
-    times: Array,
-    dated: bool,
-    accepted: Sequence[_Accepted],
-) -> _Accepted:
+    model: LinearModel, hypotheses: Sequence[Hypothesis], accepted: Sequence[Accepted], *, swap: bool
+) -> Accepted:
     """Return the most probable change in addition to accepted ones.
 
-    times, dated : as of `changes_in`
+    It is of the most probable candidate, its most probable course, and the onset of that.
+
+    swap : whether another robot is among the candidates, unless it is accepted already
     """
-    model = _model_given(information, accepted)
-    if any(a.candidate.kind == ANOTHER_ROBOT for a in accepted):
-        candidates = [c for c in candidates if c.kind != ANOTHER_ROBOT]
-    hypotheses: list[_Hypotheses] = []
-    prior = 0.0
-    for candidate, course, weight, since, courses in weighted_hypotheses(
-        candidates, evidence.RELATIVE_FREQUENCY, times, dated=dated
-    ):
-        H, b = evidence.marginal_information(model, candidate.columns, courses)
-        logs = evidence.log_evidence(H, b, np.tile(candidate.sizes, courses.shape[2])) + np.log(weight)[:, None]
-        prior += float(weight.sum())
-        hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
-    total = float(np.logaddexp.reduce(np.concatenate([evidence.averaged(h.logs) for h in hypotheses])))
-    odds = float(np.logaddexp(total, np.log(max(1e-12, 1 - prior))))
-    by_label: dict[str, list[float]] = {}
-    for h in hypotheses:
-        by_label.setdefault(h.candidate.label, []).extend(evidence.averaged(h.logs))
-    label = list(by_label)[
-        first_of_best([float(np.logaddexp.reduce(np.array(own))) for own in by_label.values()], logs=True)
-    ]
-    own = [h for h in hypotheses if h.candidate.label == label]
-    top = own[first_of_best([float(np.logaddexp.reduce(evidence.averaged(h.logs), axis=None)) for h in own], logs=True)]
-    k = first_of_best(evidence.averaged(top.logs), logs=True)
-    sizes = np.tile(top.candidate.sizes, top.courses.shape[2])
-    _, _, kappa = evidence.amplitude(top.H[k], top.b[k], sizes, top.logs[k])
-    return _Accepted(top.candidate, top.courses[k], kappa, top, odds, hypotheses)
+    swap = swap and all(a.candidate.kind != ANOTHER_ROBOT for a in accepted)
+    some = np.array([k for k, h in enumerate(hypotheses) if swap or h.candidate.kind != ANOTHER_ROBOT])
+    weight = np.array([hypotheses[k].weight for k in some])
+    if not swap:  # of all frequencies those of the other kinds sum to less than one
+        kinds = {h.candidate.kind for h in hypotheses}
+        often = evidence.RELATIVE_FREQUENCY
+        weight *= sum(often[k] for k in kinds) / sum(often[k] for k in kinds - {ANOTHER_ROBOT})
+    given, chosen = _given(model, accepted)
+    judged = marginals_of(given)
+    logs = judged.log_grids([hypotheses[k].group for k in some], chosen)[:, 0, 0] - judged.log_base(chosen)[0, 0]
+    masses = np.full(len(hypotheses), -np.inf)
+    masses[some] = np.logaddexp.reduce(logs, axis=1) - np.log(logs.shape[1]) + np.log(weight)
+    odds = float(np.logaddexp(np.logaddexp.reduce(masses), np.log(max(1e-12, 1 - weight.sum()))))
+
+    def best(own: Iterable[int], key: Callable[[Hypothesis], object]) -> list[int]:
+        """Return those hypotheses among some that share the most probable value of a key."""
+        sets: dict[object, list[int]] = {}
+        for k in own:
+            sets.setdefault(key(hypotheses[k]), []).append(k)
+        return best_of(sets.values(), lambda one: float(np.logaddexp.reduce(masses[one])), logs=True)
+
+    own = best(best(some.tolist(), lambda h: h.candidate.label), lambda h: h.course)
+    top = best_of(own, lambda k: float(masses[k]), logs=True)
+    with_sizes = logs[np.searchsorted(some, own)] + np.log(weight[np.searchsorted(some, own)])[:, None]
+    kappa = float(evidence.KAPPAS[first_of_best(with_sizes[own.index(top)], logs=True)])
+    return Accepted(**vars(hypotheses[top]), kappa=kappa, masses=masses, score=float(with_sizes.max()), odds=odds)
 
 
 def weighted_hypotheses(
@@ -265,7 +255,7 @@ def weighted_hypotheses(
     probability.
 
     often : relative frequency of each kind of change, which is divided equally among its candidates
-    times, dated : as of `changes_in`
+    times, dated : as of `evidence_of`
     """
     kinds = [c.kind for c in candidates]
     whole = sum(often[kind] for kind in set(kinds))
@@ -281,7 +271,7 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
     The weights, (c,), are for each onset; the onsets, (c,), are the first campaigns that show the
     change, from 0; the k factors of the change in each of n campaigns have the shape (c, n, k).
 
-    times, dated : as of `changes_in`; there is a season only with dates
+    times, dated : as of `evidence_of`; there is a season only with dates
     """
     n = len(times)
     onset, since = _onsets(n), np.arange(1, n)
@@ -317,8 +307,9 @@ def _onsets(n: int) -> Array:
 
 
 def _change(
-    information: evidence.SharedInformation,
-    accepted: Sequence[_Accepted],
+    model: LinearModel,
+    hypotheses: Sequence[Hypothesis],
+    accepted: Sequence[Accepted],
     k: int,
     first: Estimate,
     swap: tuple[str, float],
@@ -329,178 +320,143 @@ def _change(
     swap : rival explanation of all changes together: label and probability, as of `changes_in`
     """
     change = accepted[k]
-    candidate, top = change.candidate, change.own
-    total = float(np.logaddexp.reduce(np.concatenate([evidence.averaged(h.logs) for h in change.every])))
-    share = [(h, np.exp(evidence.averaged(h.logs) - total)) for h in change.every]
-    own = [(h, s) for h, s in share if h.candidate.label == candidate.label]
-    probability = float(sum(s.sum() for _, s in own))
-    at = first_of_best(evidence.averaged(top.logs), logs=True)
-    begun = np.exp(evidence.averaged(top.logs) - np.logaddexp.reduce(evidence.averaged(top.logs), axis=None))
-    likely = top.since[np.sort(ranked(begun)[: int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1])]
+    share = np.exp(change.masses - np.logaddexp.reduce(change.masses))
+    at: dict[tuple[str, Course], list[int]] = {}
+    for i, h in enumerate(hypotheses):
+        at.setdefault((h.candidate.label, h.course), []).append(i)
+    label, same = change.candidate.label, at[change.candidate.label, change.course]
+    probability = sum(float(share[own].sum()) for (name, _), own in at.items() if name == label)
+    begun = share[same] / share[same].sum()
+    enough = int(np.searchsorted(np.cumsum(np.sort(begun)[::-1]), 0.95)) + 1
+    likely = [hypotheses[same[i]].since for i in ranked(begun)[:enough]]
     rivals: dict[str, Rival] = {}
-    for h, s in share:
-        label, best = h.candidate.label, first_of_best(s)
-        old = rivals.get(label)
-        more = (old.probability if old else 0.0) + float(s.sum())
-        if old and old.probability > s.sum():
-            rivals[label] = replace(old, probability=more)
+    for (name, course), own in at.items():
+        if not np.isfinite(change.masses[own]).any():  # not compared
+            continue
+        old, mass = rivals.get(name), float(share[own].sum())
+        more = (old.probability if old else 0.0) + mass
+        if old and old.probability > mass:
+            rivals[name] = replace(old, probability=more)
         else:
-            rivals[label] = Rival(label, h.course, int(h.since[best]), more)
-    other, chance = swap if ANOTHER_ROBOT in (candidate.kind, swap[0]) else ("", 0.0)
-    rivals = {label: replace(r, probability=(1 - chance) * r.probability) for label, r in rivals.items()}
+            rivals[name] = Rival(name, course, hypotheses[own[first_of_best(share[own])]].since, more)
+    other, chance = swap if ANOTHER_ROBOT in (change.candidate.kind, swap[0]) else ("", 0.0)
+    rivals = {name: replace(r, probability=(1 - chance) * r.probability) for name, r in rivals.items()}
     if other:
-        rivals[other] = Rival(other, "jump", int(top.since[at]), chance)
-    m = top.courses.shape[2]
-    a, C, _ = evidence.amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
-    others = [other for i, other in enumerate(accepted) if i != k]
+        rivals[other] = Rival(other, "jump", change.since, chance)
+    given, columns = _given(model, accepted)
+    values, errors = Fit(given, columns, 1.0, given.grid.at(0)).causes
+    places = np.searchsorted(columns, change.group)
+    values, errors = (x[places] * np.resize(change.candidate.sizes, len(places)) for x in (values, errors))
     # Size in each campaign along the change's own direction, relative to the whole change.
-    direction = (candidate.columns @ a[: len(candidate.sizes)])[:, None]
-    n = len(information.score)
-    H, score = evidence.marginal_information(_model_given(information, others), direction, np.eye(n)[:, 1:][None])
-    course = np.linalg.inv(H[0] + np.diag(np.full(n - 1, 1e-4)))
+    direction = change.candidate.columns @ values[: len(change.candidate.sizes)]
+    n, p, _ = model.J.shape
+    alone = np.zeros((n, p, n - 1))
+    alone[np.arange(1, n), :, np.arange(n - 1)] = (model.J @ direction)[1:]
+    given, columns = _given(model, [a for i, a in enumerate(accepted) if i != k])
+    given = given.with_base(columns)
+    given = replace(given, E=array_columns(alone), cause_prior=np.full(n - 1, 100.0))
+    by_campaign = Fit(given, np.arange(n - 1), 1.0, given.grid.at(0)).causes
     return Change(
-        candidate,
-        top.course,
-        int(top.since[at]),
-        (int(likely.min()), int(likely.max())),
+        change.candidate,
+        change.course,
+        change.since,
+        (min(likely), max(likely)),
         (1 - chance) * probability,
-        float(sum(s.sum() for h, s in own if h.course == top.course)) / probability,
+        float(share[same].sum()) / probability,
         change.odds,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
-        tuple(_amounts(candidate, first, a, C, m)),
-        np.vstack([[0.0, 0.0], np.column_stack([course @ score[0], np.sqrt(np.diag(course))])]),
+        tuple(_amounts(change.candidate, first, values, errors)),
+        np.vstack([[0.0, 0.0], np.column_stack(by_campaign)]),
     )
 
 
-def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: int) -> Iterable[Amount]:
+def _amounts(candidate: Candidate, first: Estimate, values: Array, errors: Array) -> Iterable[Amount]:
     """Yield the change of each parameter in readable units, or that of all lengths [um/m].
 
     first : estimate of the first campaign
-    a, C : posterior mean, (k m,), and covariance, (k m, k m), of the m amplitudes for each factor
-    waves : number k of factors of the course, 2 for a season, else 1
+    values, errors : amplitudes and their standard errors, (k m,), of the m columns for each of k
+        factors of the course: two for a season, else one
     """
-    width = len(candidate.sizes)
     if candidate.kind == "lengths":
-        for w in range(waves):
-            name = "lengths" if waves == 1 else f"lengths, {('sine', 'cosine')[w]}"
-            yield Amount(name, 1e6 * a[w], 1e6 * float(np.sqrt(C[w, w])), "um/m")
+        for w, (value, error) in enumerate(zip(values, errors, strict=True)):
+            name = "lengths" if len(values) == 1 else f"lengths, {('sine', 'cosine')[w]}"
+            yield Amount(name, 1e6 * value, 1e6 * float(error), "um/m")
         return
-    for k, name in enumerate(candidate.names[:width]):
+    for name, value, error in zip(candidate.names[: len(candidate.sizes)], values, errors, strict=False):
         p = first.robot.parameters[name]
-        yield Amount(name, p.readable(a[k] * p.scale), p.readable(float(np.sqrt(C[k, k])) * p.scale), p.readable_unit)
-
-
-# Function from names of r parameters to the last campaign's values less those of the one before,
-# shape (r,), and their covariance, shape (r, r), both in units of scale.
-Between = Callable[[Sequence[str]], tuple[Array, Array]]
+        yield Amount(name, p.readable(value * p.scale), p.readable(float(error) * p.scale), p.readable_unit)
 
 
 def _detectable_sizes(
-    model_before: Callable[[Candidate], evidence.Model], candidates: Sequence[Candidate], first: Estimate
+    model: LinearModel, hypotheses: Sequence[Hypothesis], accepted: Sequence[Accepted], first: Estimate
 ) -> Iterator[tuple[str, float, str]]:
     """Yield (cause, size, unit): the smallest change in the last campaign that would be detected.
 
     Only joint zeros and joint stiffnesses are listed; the size is in readable units, and infinite
-    if it would have to be 30 times the usual one.
+    if it would have to be 30 times the usual one. Accepted changes that only the last campaign
+    shows do not count if they share a parameter with it.
 
-    model_before : function from a candidate to the model without its change in the last campaign
     first : estimate of the first campaign
     """
-    for c in candidates:
-        if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
-            model = model_before(c)
-            H, _ = evidence.marginal_information(model, c.columns, evidence.jumps(len(model.shared.score))[-1:])
-            p = first.robot.parameters[c.names[0]]
+    last = len(model.r) - 1
+    for h in hypotheses:
+        c = h.candidate
+        if h.since == last and h.course == "jump" and c.kind in ("joint_zero", "joint_stiffness"):
+            alone = [a for a in accepted if a.since == last and a.course != "season"]
+            others = [a for a in accepted if a not in alone or {*a.candidate.names}.isdisjoint(c.names)]
+            given, columns = _given(model, others)
+            given = replace(given.with_base(columns), cause_prior=np.full(model.width, 1e3))
+            _, (error,) = Fit(given, h.group, 1.0, given.grid.at(0)).causes
             # A change is detected from roughly five standard errors on, because it competes with
-            # about a hundred candidates.
-            size = 5.0 / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
-            # A change that would have to be 30 times its usual size counts as not detectable.
-            seen = size < 30.0 * float(c.sizes[0])
-            yield c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit
+            # about a hundred candidates. One of 30 times its usual size counts as not detectable.
+            size, p = 5.0 / np.sqrt(max(error**-2.0 - 1e-6, 1e-30)), first.robot.parameters[c.names[0]]
+            readable = p.readable(float(size * c.sizes[0]) * p.scale) if size < 30.0 else float("inf")
+            yield c.label, readable, p.readable_unit
 
 
 def _placements(
-    campaigns: Sequence[Estimate], names: Sequence[str], model: evidence.Model
+    campaigns: Sequence[Estimate], names: Sequence[str], model: LinearModel, columns: Array
 ) -> Iterator[tuple[str, str]]:
     """Yield ("tool", text) and ("base", text): how they moved before the last campaign.
 
-    They are compared with those of the campaign before, where they were fitted again in each.
+    They are compared with those of the campaign before, where they were fitted again in each: the
+    measured point on the flange of a tool of the same name, and the base, unless it did not move.
 
-    names : shared parameters; model : posterior of these and of the accepted changes
+    names : shared parameters
+    model, columns : linear model, and the indices of the accepted changes' columns in it
     """
     first, (before, after) = campaigns[0], campaigns[-2:]
+    fit = Fit(model, columns, 1.0, model.grid.at(0))
+    # A campaign's shared parameters from the solved ones, theta and the changes so far.
+    moved = model.E.factors(columns=columns).columns_at(np.broadcast_to(np.eye(len(names)), model.J.shape))
 
     def between(own: Sequence[str]) -> tuple[Array, Array]:
         """Return the last campaign's values of `own` less those of the one before, with covariance.
 
         own : names of k parameters that were fitted again in each campaign
-        Returns the difference, shape (k,), and its covariance, shape (k, k); see `Between`
+        Returns the difference, shape (k,), and its covariance, shape (k, k), both in units of scale
         """
-        # X, Y: a campaign's shared parameters from the solved ones, theta and the changes so far.
-        X, Y = (np.hstack([np.eye(model.p), model.columns[k]]) for k in (-2, -1))
-        a, A, V = _refitted(before, own, names, first, X, model.mean)
-        b, B, W = _refitted(after, own, names, first, Y, model.mean)
-        return b - a, V + W + (B - A) @ model.inverse @ (B - A).T
+        X, Y = (np.hstack([np.eye(len(names)), moved[k]]) for k in (-2, -1))
+        a, A, V = _refitted(before, own, names, first, X, fit.x)
+        b, B, W = _refitted(after, own, names, first, Y, fit.x)
+        return b - a, V + W + (B - A) @ fit.covariance @ (B - A).T
 
-    yield from _tool(before, after, names, between)
-    yield from _base(before, after, names, between)
-
-
-def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
-    """Yield ("tool", text): by how many mm the measured point moved on the flange, and its meaning.
-
-    Nothing is yielded if it was not fitted in each campaign, or the tool has another name.
-
-    names : shared parameters; between : difference of the two campaigns, see `Between`
-    """
     own = [n for n in PLACEMENT_PARAMETERS["tool"][:3] if n in before.names and n in after.names and n not in names]
-    if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
-        return
-    apart, cov = between(own)
-    scale = np.array([after.robot.parameters[n].scale for n in own])
-    size = float(np.linalg.norm(apart * scale))
-    error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
-    distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
-    # Only a displacement of the tool's point of more than four standard errors (rms of the
-    # coordinates) is reported as another tool, or as the same one mounted again.
-    if distance > 4.0:
-        words = "another tool, or mounted again"
-    elif distance > MOVED_SIGMAS:
-        words = "more than noise alone, too little for another tool"
-    else:
-        words = "the same point, as far as these poses show"
-    yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm per coordinate: {words}"
-
-
-def _refitted(
-    c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, X: Array, u: Array
-) -> tuple[Array, Array, Array]:
-    """Return the parameters `own` of a campaign as refitted given the p shared ones.
-
-    They are the mean, (r,), its derivative by u, (r, len(u)), and the covariance given u, (r, r),
-    in units of scale.
-
-    own : names of the r parameters; names : names of the p shared ones
-    first : estimate of the first campaign
-    X : matrix, shape (p, len(u)); X u are the campaign's shared parameters less those of the first
-    u : posterior mean of the solved variables, see `evidence.Model`
-    """
-    shared, rest, V = c.refitted_given(names)
-    G = -V @ c.information[np.ix_(rest, shared)]
-    from_first = np.array([first.values[first.names.index(n)] for n in names])
-    departure = (from_first - c.values[shared]) / c.scale[shared] + X @ u
-    mean = c.values[rest] / c.scale[rest] + V @ c.score[rest] + G @ departure
-    at = [list(rest).index(c.names.index(n)) for n in own]
-    return mean[at], (G @ X)[at], V[np.ix_(at, at)]
-
-
-def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
-    """Yield ("base", text): by how many mm and deg the base moved in the measuring frame.
-
-    Nothing is yielded if it was not fitted again in the last campaign, or did not move at all.
-
-    names : shared parameters; between : difference of the two campaigns, see `Between`
-    """
+    if len(own) == 3 and before.robot.tool_name == after.robot.tool_name:
+        apart, cov = between(own)
+        scale = np.array([after.robot.parameters[n].scale for n in own])
+        size = float(np.linalg.norm(apart * scale))
+        error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
+        distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
+        # Only a displacement of the tool's point of more than four standard errors (rms of the
+        # coordinates) is reported as another tool, or as the same one mounted again.
+        if distance > 4.0:
+            words = "another tool, or mounted again"
+        elif distance > MOVED_SIGMAS:
+            words = "more than noise alone, too little for another tool"
+        else:
+            words = "the same point, as far as these poses show"
+        yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm per coordinate: {words}"
     placing = {p.name for p in after.robot.parameters if p.group == "base"}
     if not placing & set(after.names) or placing & set(names):
         return
@@ -518,6 +474,28 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
             words = "the same place, as far as these poses show"
     far = f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm and {turn:.3g} deg"
     yield "base", f"{far} from where it stood in the instrument's frame: {words}"
+
+
+def _refitted(
+    c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, X: Array, u: Array
+) -> tuple[Array, Array, Array]:
+    """Return the parameters `own` of a campaign as refitted given the p shared ones.
+
+    They are the mean, (r,), its derivative by u, (r, len(u)), and the covariance given u, (r, r),
+    in units of scale.
+
+    own : names of the r parameters; names : names of the p shared ones
+    first : estimate of the first campaign
+    X : matrix, shape (p, len(u)); X u are the campaign's shared parameters less those of the first
+    u : posterior mean of the solved variables, see `Fit.x`
+    """
+    shared, rest, V = c.refitted_given(names)
+    G = -V @ c.information[np.ix_(rest, shared)]
+    from_first = np.array([first.values[first.names.index(n)] for n in names])
+    departure = (from_first - c.values[shared]) / c.scale[shared] + X @ u
+    mean = c.values[rest] / c.scale[rest] + V @ c.score[rest] + G @ departure
+    at = [list(rest).index(c.names.index(n)) for n in own]
+    return mean[at], (G @ X)[at], V[np.ix_(at, at)]
 
 
 def _base_pose(c: Estimate) -> Array:

@@ -1,10 +1,9 @@
-"""Evidence of changes between campaigns in a linear-Gaussian model, and their candidates.
+"""Candidates for changes between campaigns, and the linear model by which they are judged.
 
 The parameters of campaign i are theta_i = theta + sum_j s_ij E_j a_j: the robot's theta, and
 changes of amplitude a_j along columns E_j with a course s_ij over the campaigns (a jump, a drift, a
-season). With information H_i and score b_i of each campaign, the model is linear and Gaussian.
-theta is marginalised; for amplitudes a ~ N(0, (kappa size)^2) the evidence has a closed form, with
-kappa on a grid.
+season). With information H_i and score b_i of each campaign they form a `LinearModel`: a campaign is
+a block, theta the base, and the amplitudes a ~ N(0, (kappa size)^2) are columns with kappa on a grid.
 
 The evidence of a change, averaged over candidates, courses and onsets with weights that are fixed
 before the data, is a martingale over the campaigns as long as nothing changes: the probability that
@@ -17,16 +16,16 @@ parameters that change together.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.noise import gain
-from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
+from casadical.core.linear_gaussian.columns import Factors, factor_columns
+from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.noise import Grid, NoiseModel, gain
 from casadical.core.parameters import Parameter
-from casadical.core.statistics import first_of_best
 from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.robot import Robot, with_joint_harmonics
 
@@ -118,15 +117,15 @@ def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
     return tuple(c for c in candidates if c.names)
 
 
-def daily(candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-    """Return columns, (p, m), and standard deviations, (m,), of day-to-day differences.
+def daily(candidates: Sequence[Candidate]) -> Array:
+    """Return the root D of the covariance D D' of day-to-day differences, shape (p, m).
 
     They are those of the candidates whose kinds `DAILY_SIGMAS` lists; see `Candidate`.
     """
-    own = [c for c in candidates if c.kind in DAILY_SIGMAS]
     usual = {"lengths": USUAL_GROWTH, "tool": USUAL_MOUNTING_CHANGE, "foot": USUAL_MOUNTING_CHANGE}
-    sizes = [c.sizes * DAILY_SIGMAS[c.kind] / usual[c.kind] for c in own]
-    return np.concatenate([c.columns for c in own], axis=1), np.concatenate(sizes)
+    own = [c for c in candidates if c.kind in DAILY_SIGMAS]
+    roots = [c.columns * c.sizes * (DAILY_SIGMAS[c.kind] / usual[c.kind]) for c in own]
+    return np.hstack([candidates[0].columns[:, :0], *roots])
 
 
 def _candidate(
@@ -210,104 +209,49 @@ def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 
 
-@dataclass(frozen=True, eq=False)
-class SharedInformation:
-    """Information of n campaigns on the p parameters that they share, in units of the scale.
+def model_of_campaigns(
+    H: Array,
+    b: Array,
+    spread: Array,
+    candidates: Sequence[Candidate],
+    courses: Iterable[tuple[Candidate, Array]],
+) -> tuple[LinearModel, list[Array]]:
+    """Return the linear model of n campaigns, and the indices of each change's columns in it.
 
-    information : information matrix of each campaign, shape (n, p, p)
-    score : gradient of each campaign's log likelihood at common values, those of the first
-        campaign, shape (n, p)
-    precision : prior precision (inverse variance) of theta about these values, shape (p,)
+    Each block has p rows, those of a root of the campaign's information; day-to-day differences are
+    noise of these rows.
+
+    H, b : information, (n, p, p), and score, (n, p), of the p shared parameters in units of scale
+    spread : prior standard deviations of the parameters, shape (p,), in units of scale
+    candidates : candidates whose usual day-to-day differences are assumed (see `daily`)
+    courses : candidate and factors, shape (c, n, k), of c changes each
     """
-
-    information: Array
-    score: Array
-    precision: Array
-
-    def with_jitter(self, columns: Array, sizes: Array) -> SharedInformation:
-        """Return the information with independent differences in each campaign marginalised.
-
-        columns : directions of the differences in the parameters, shape (p, m)
-        sizes : standard deviations of their amplitudes, shape (m,)
-        """
-        HD = self.information @ columns
-        inner = np.array([inverse_of(own) for own in columns.T @ HD + np.diag(sizes**-2.0)])
-        lost = HD @ inner
-        b = self.score - (lost @ (self.score @ columns)[:, :, None])[:, :, 0]
-        return SharedInformation(self.information - lost @ HD.transpose(0, 2, 1), b, self.precision)
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
-    """Posterior of theta and the amplitudes of accepted changes, before an additional change.
-
-    Its variables are u = (theta, the m amplitudes of the accepted changes), in units of scale.
-
-    shared : information of the n campaigns on the p parameters
-    columns : directions of these changes times their factors in each campaign, shape (n, p, m)
-    root : R of the posterior covariance R'R of u, shape (p + m, p + m)
-    turned : R times the score of u, shape (p + m,)
-    """
-
-    shared: SharedInformation
-    columns: Array
-    root: Array = field(repr=False)
-    turned: Array = field(repr=False)
-
-    @property
-    def inverse(self) -> Array:
-        """Return the posterior covariance of u, shape (p + m, p + m)."""
-        return self.root.T @ self.root
-
-    @property
-    def mean(self) -> Array:
-        """Return the posterior mean of u, shape (p + m,); theta is relative to the first campaign."""
-        return self.root.T @ self.turned
-
-    @property
-    def p(self) -> int:
-        """Return the number of shared parameters."""
-        return int(self.shared.score.shape[1])
-
-
-def solve(shared: SharedInformation, columns: Array, sizes: Array) -> Model:
-    """Return the posterior of theta and the amplitudes of accepted changes, given all campaigns.
-
-    columns : directions of the changes times their factors in each campaign, shape (n, p, m)
-    sizes : prior standard deviations of the amplitudes, shape (m,)
-    """
-    n, p = shared.score.shape
-    X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), columns], axis=2)
-    HX = shared.information @ X
-    Lambda = np.tensordot(X, HX, axes=([0, 1], [0, 1]))
-    Lambda += np.diag(np.concatenate([shared.precision, sizes**-2.0]))
-    root = root_of_inverse(Lambda)
-    return Model(shared, columns, root, root @ np.einsum("npi,np->i", X, shared.score))
-
-
-def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
-    """Return information and score of an additional change's amplitudes, for each of c courses.
-
-    Theta and the amplitudes of accepted changes are marginalised. The shapes are (c, km, km) and
-    (c, km); amplitudes of the first factor come first.
-
-    E : directions of the change in the parameters, shape (p, m)
-    courses : k factors of the change in each of n campaigns, shape (c, n, k)
-    """
-    information = model.shared
-    (c, n, k), m = courses.shape, E.shape[1]
-    HE = information.information @ E
-    flat = courses.transpose(0, 2, 1).reshape(c * k, n)
-    squares = (courses[:, :, :, None] * courses[:, :, None, :]).transpose(0, 2, 3, 1).reshape(c * k * k, n)
-    H = (squares @ (E.T @ HE).reshape(n, m * m)).reshape(c, k, k, m, m).transpose(0, 1, 3, 2, 4)
-    H = H.reshape(c, k * m, k * m)
-    HEu = np.concatenate([HE, model.columns.transpose(0, 2, 1) @ HE], axis=1)
-    C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
-    b = (flat @ (information.score @ E)).reshape(c, k * m)
-    # A change along accepted ones is a small difference of large numbers: squares of the root keep
-    # twice the digits of products with the inverse.
-    C = model.root @ C
-    return H - C.transpose(0, 2, 1) @ C, b - model.turned @ C
+    n, p = b.shape
+    scale = np.sqrt(np.maximum(np.diagonal(H, axis1=1, axis2=2), 1e-30))
+    value, vector = np.linalg.eigh(H / (scale[:, :, None] * scale[:, None, :]))
+    # Directions of which a campaign knows nothing have eigenvalues of round-off.
+    root = np.sqrt(np.where(value > 1e-14, value, 0.0))
+    turned = (vector.transpose(0, 2, 1) @ (b / scale)[:, :, None])[:, :, 0]
+    r = np.divide(turned, root, out=np.zeros_like(turned), where=root > 0)
+    R = root[:, :, None] * vector.transpose(0, 2, 1) * scale[:, None, :]
+    groups, width = list[Array](), 0
+    # Indices of the columns that change each parameter, and their factors.
+    acting, made = [[np.zeros(0, dtype=np.int64)] for _ in range(p)], [[np.zeros((0, n))] for _ in range(p)]
+    for candidate, factors in courses:
+        (c, _, k), m = factors.shape, len(candidate.sizes)
+        own = width + np.arange(c * k * m).reshape(c, k, m)
+        groups += list(own.reshape(c, k * m))
+        width += own.size
+        for parameter, sizes in enumerate(candidate.columns * candidate.sizes):
+            some = np.flatnonzero(sizes)
+            each = factors.transpose(0, 2, 1)[:, :, None] * sizes[some][:, None]
+            acting[parameter].append(own[:, :, some].ravel())
+            made[parameter].append(each.reshape(-1, n))
+    parts = [(k, np.concatenate(acting[k]), np.concatenate(made[k])) for k in range(p)]
+    E = factor_columns(Factors(tuple(part for part in parts if len(part[1])), width), R)
+    noise = NoiseModel((n, p), {"daily": R @ daily(candidates)})
+    grid = Grid(np.ones(1), {"daily": np.ones(1)}, KAPPAS)
+    return LinearModel(r, R, np.zeros(p), spread, E, noise, grid, reference=1.0), groups
 
 
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
@@ -320,29 +264,6 @@ def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
     values = np.maximum(values, 0.0)
     turned = (V.transpose(0, 2, 1) @ (sizes * b)[:, :, None])[:, :, 0] ** 2
     return gain(KAPPAS**-2.0, 1.0, values, turned)
-
-
-def averaged(logs: Array) -> Array:
-    """Return the logarithm of the mean evidence over the sizes, shape (...).
-
-    logs : log evidence for each size on the grid `KAPPAS`, shape (..., kappas)
-    """
-    return np.asarray(np.logaddexp.reduce(logs, axis=-1) - np.log(len(KAPPAS)))
-
-
-def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
-    """Return posterior mean, (m,), and covariance, (m, m), of a change's amplitudes, and kappa.
-
-    Kappa is the most probable ratio, on the grid `KAPPAS`, of the change's prior standard deviation
-    to its usual size; mean and covariance are in units of the columns.
-
-    H, b : information, (m, m), and score, (m,), of the amplitudes
-    sizes : usual size of each amplitude, shape (m,)
-    logs : log evidence for each kappa, shape (kappas,)
-    """
-    kappa = float(KAPPAS[first_of_best(logs, logs=True)])
-    C = inverse_of(H + np.diag((kappa * sizes) ** -2.0))
-    return C @ b, C, kappa
 
 
 def jumps(n: int) -> Array:

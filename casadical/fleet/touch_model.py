@@ -261,8 +261,7 @@ class TouchModel:
         own = J @ self.factor
         S = own @ own.T
         usual = self.usual_candidates
-        columns, sizes = daily(usual)
-        D = (J @ columns) * sizes
+        D = J @ daily(usual)
         same_day = self.day[:, None] == self.day
         S += (D @ D.T) * same_day
         lengths = [J @ c.columns[:, 0] for c in usual if c.kind == "lengths"]
@@ -387,8 +386,7 @@ class TouchModel:
         level : index into `likelihood_terms`
         """
         y, J, P = self._gaussian_model[0], self._evaluated[1], self.likelihood_terms[level][1]
-        columns, sizes = daily(self.usual_candidates)
-        D, M = columns * sizes, self.factor @ self.factor.T
+        D, M = daily(self.usual_candidates), self.factor @ self.factor.T
         today = self.day == len(self.days)
         warm = float(self.warming[-1])
         L = next((c.columns[:, 0] for c in self.usual_candidates if c.kind == "lengths"), np.zeros(len(self.names)))

@@ -16,25 +16,24 @@ from typer.testing import CliRunner
 
 from casadical import InputError, Robot, calibrate, identify, plot, read_robot, write_robot
 from casadical.cli import app
+from casadical.core.linear_gaussian.fit import Fit
+from casadical.core.linear_gaussian.marginals import marginals_of
 from casadical.core.reporting.blocks import Words
 from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, name_of, other_regions
 from casadical.fleet.changes import MEANINGS, Change, _per, in_words, times_in_words
-from casadical.fleet.comparison import changes_in, compare, courses_of, shared_information
+from casadical.fleet.comparison import changes_in, compare, courses_of, evidence_of, shared_information
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, pooled_repeatability, with_common_noise
 from casadical.fleet.evidence import (
     ANOTHER_ROBOT,
     KAPPAS,
     RELATIVE_FREQUENCY,
     Candidate,
-    SharedInformation,
     _usual_size,
     candidates_of,
     jumps,
-    log_evidence,
-    marginal_information,
+    model_of_campaigns,
     shared_names,
-    solve,
 )
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import with_unknown_masses
@@ -66,9 +65,10 @@ def test_the_evidence_is_that_of_the_difference_of_two_estimates() -> None:
     x1, x2 = rng.normal(size=(2, 4))
     E, sizes = rng.normal(size=(4, 2)), np.array([0.5, 2.0])
     H = np.linalg.inv([C1, C2])
-    told = SharedInformation(H, np.array([H[0] @ x1, H[1] @ x2]), np.full(4, 1e-9))
-    logs = log_evidence(*marginal_information(solve(told, np.zeros((2, 4, 0)), np.zeros(0)), E, jumps(2)), sizes)
-    for kappa, found in zip(KAPPAS, logs[0], strict=True):
+    change, scores = Candidate("link", 1, (), E, sizes), np.array([H[0] @ x1, H[1] @ x2])
+    model, groups = model_of_campaigns(H, scores, np.full(4, 1e-9**-0.5), [change], [(change, jumps(2))])
+    logs = marginals_of(model).log_grids(groups)[0, 0, 0] - marginals_of(model).log_base()[0, 0]
+    for kappa, found in zip(KAPPAS, logs, strict=True):
         wide = C1 + C2 + E @ np.diag((kappa * sizes) ** 2) @ E.T
         by_scipy = multivariate_normal(cov=wide).logpdf(x2 - x1) - multivariate_normal(cov=C1 + C2).logpdf(x2 - x1)
         assert found == pytest.approx(by_scipy, abs=1e-6)
@@ -80,16 +80,18 @@ def test_a_change_along_a_known_one_keeps_its_digits() -> None:
     J = rng.integers(-9, 10, (2, 40, 5)).astype(float) * 8
     J[:, :, 4] = J[:, :, 3] + rng.integers(-1, 2, (2, 40)) / 16
     H, score = J.transpose(0, 2, 1) @ J, rng.integers(-99, 100, (2, 5)).astype(float)
-    known, told = np.stack([np.zeros((5, 5)), np.eye(5)]), SharedInformation(H, score, np.full(5, 0.25))
-    found, b = marginal_information(solve(told, known, np.full(5, 0.5)), np.eye(5)[:, 4:], jumps(2))
+    known, sizes = np.stack([np.zeros((5, 5)), np.eye(5)]), [np.full(5, 0.5), np.ones(1)]
+    each = [Candidate("link", 1, (), np.eye(5)[:, -len(size) :], size) for size in sizes]
+    model, _ = model_of_campaigns(H, score, np.full(5, 2.0), each, [(change, jumps(2)) for change in each])
+    value, error = Fit(replace(model, cause_prior=np.ones(6)), np.arange(6), 1.0, {"daily": 1.0}).causes
     X = np.concatenate([np.stack([np.eye(5)] * 2), known, np.stack([np.zeros((5, 1)), np.eye(5)[:, 4:]])], axis=2)
     whole = np.einsum("nai,nab,nbj->ij", X, H, X) + np.diag([0.25] * 5 + [4.0] * 5 + [0.0])
     rows = [[*map(Fraction, row), Fraction(s)] for row, s in zip(whole, np.einsum("nai,na->i", X, score), strict=True)]
     for k in range(10):
         for row in rows[k + 1 :]:
             row[:] = [x - row[k] / rows[k][k] * y for x, y in zip(row, rows[k], strict=True)]
-    assert found[0, 0, 0] == pytest.approx(float(rows[10][10]), rel=1e-9)
-    assert b[0, 0] == pytest.approx(float(rows[10][11]), rel=1e-9)
+    information, b = float(rows[10][10]) + 1.0, float(rows[10][11])  # with the change's own prior
+    assert (error[-1] ** -2, value[-1]) == pytest.approx((information, b / information), rel=1e-9)
 
 
 def test_the_directions_of_what_is_anew_are_projected_out() -> None:
@@ -117,10 +119,9 @@ def test_harmonics_that_every_campaign_shows_are_no_change_after_the_first(arm: 
         y = J @ np.array([0.0, 0.0, 4.0, 0.0]) + rng.normal(size=12)
         told.append(Estimate(robot, names, np.zeros(4), J.T @ J, J.T @ y, spread, str(k)))
     assert not compare(told).changed
-    shared, sums, curves = shared_information(told, same_tool=False, same_frame=False)
-    narrow = replace(sums, precision=spread**-2.0)
+    shared, (H, b, _), curves = shared_information(told, same_tool=False, same_frame=False)
     assert shared == names
-    assert changes_in(narrow, curves, np.arange(20) / 12, dated=False)[0]
+    assert changes_in(*evidence_of(H, b, spread, curves, np.arange(20) / 12, dated=False))[0]
 
 
 def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], before: Estimate) -> None:
@@ -235,8 +236,12 @@ def test_a_moved_foot_is_a_change_in_one_frame(arm: tuple[Robot, Robot]) -> None
 def test_robot_files_of_calibrate_are_compared(arm, tmp_path, monkeypatch):
     """The file has the covariance; of two files the change is named as from the measurements themselves."""
     robot, built = arm
-    problem = Path(__file__).parents[2] / "problems/ur10e"
-    assert calibrate(problem).files(tmp_path / "out")[tmp_path / "out" / "SKCM.robot.toml"].count("[[covariance]]") == 1
+    assert (
+        calibrate(ROOT / "problems/ur10e")
+        .files(tmp_path / "out")[tmp_path / "out" / "SKCM.robot.toml"]
+        .count("[[covariance]]")
+        == 1
+    )
     for name, truth in (("2026-01", built), ("2026-02", changed(built, theta2=5e-4))):
         result = identify(robot, measured(truth, 10 + len(name) + int(name[-1])))
         (tmp_path / name).mkdir()
@@ -257,9 +262,8 @@ def test_robot_files_of_calibrate_are_compared(arm, tmp_path, monkeypatch):
 
 
 def test_a_robot_file_without_covariance_is_refused() -> None:
-    robot = read_robot(Path(__file__).parents[2] / "problems/ur10e/robot.toml")
     with pytest.raises(InputError, match="no covariance of the geometry; write it with"):
-        estimate_of_file(robot)
+        estimate_of_file(read_robot(ROOT / "problems/ur10e/robot.toml"))
 
 
 @pytest.fixture(scope="module")
@@ -276,8 +280,7 @@ def tables(arm: tuple[Robot, Robot], tmp_path_factory: pytest.TempPathFactory) -
 
 
 def test_a_life_in_tables_with_units_that_changed_midway(tables: Path) -> None:
-    problem = Path(__file__).parents[2] / "problems/ur10e"
-    files = sorted(tables.glob("*.csv"))
+    problem, files = ROOT / "problems/ur10e", sorted(tables.glob("*.csv"))
     found = compare_files([files[2], *files[:2], *files[3:]], problem)
     assert [c.label for c in found.campaigns] == ["2026-01-01", "2026-03-01", "2026-04-01", "2026-05-01"]
     (change,) = found.changes
@@ -325,9 +328,7 @@ def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
     assert order == list("102")
     assert said.startswith("dates go back (0, then 1)")
     assert on(0, None, 60)[1].startswith("no date in the name of 1: the campaigns are in the order given")
-    assert on(0, 30, 13000)[1].startswith(
-        "2 is 35.5 years after 1, by their names: if a clock was wrong, rename the file"
-    )
+    assert on(0, 30, 13000)[1].startswith("2 is 35.5 years after 1, by their names: if a clock was wrong, rename")
     assert on(0, 30, names={1: "left arm"})[1] == "the robot is called 'arm' and 'left arm': taken for one, renamed"
     assert on(None, 60, 30, begun=True) == (
         list("021"), "dates go back (1, then 2): the campaigns are put in the order of their dates"
@@ -335,9 +336,8 @@ def test_days_in_names_and_what_is_odd_about_them(before: Estimate) -> None:
     assert on(None, 30, 60, begun=True) == (list("012"), "")
     assert day_of(Path("1970-01-01.csv")) == 0.0
     assert on(0, 20000, begun=True)[1].startswith("1 is 54.8 years after 0")
-    assert (
-        on(0, 30, same=True)[1] == "all campaigns are the same measurements, to the last digit: no change can be seen"
-    )
+    alike = "all campaigns are the same measurements, to the last digit: no change can be seen"
+    assert on(0, 30, same=True)[1] == alike
 
 
 def test_the_same_measurements_count_once(before: Estimate) -> None:

@@ -117,8 +117,11 @@ class Columns:
         return (factors.combined(every) if every else factors).columns_at(self.levers(blocks))
 
 
-def row_columns(made: Factors, blocks: int, rows: int, directions: Directions = ()) -> Columns:
-    """Return columns with factors `made` whose intermediate variables are the rows themselves."""
+def factor_columns(made: Factors, levers: Array, directions: Directions = ()) -> Columns:
+    """Return columns with factors `made` of the intermediate variables.
+
+    levers : derivatives of the rows by the variables, shape (n, m, variables)
+    """
 
     def block(columns: Array | None, some: Array | slice) -> Factors:
         """Return the factors of some columns, or of all if `columns` is None, at some blocks."""
@@ -127,17 +130,14 @@ def row_columns(made: Factors, blocks: int, rows: int, directions: Directions = 
         # A slice of the blocks is a view; other blocks are copied, so that columns are chosen first.
         return made.at(some).only(columns) if isinstance(some, slice) else made.only(columns).at(some)
 
-    def levers(some: Array | slice) -> Array:
-        """Return the levers at some blocks, identities of shape (blocks, rows, rows)."""
-        return np.broadcast_to(np.eye(rows), (len(np.arange(blocks)[some]), rows, rows))
-
-    return Columns((blocks, rows, made.width), block, levers, directions)
+    return Columns((*levers.shape[:2], made.width), block, levers.__getitem__, directions)
 
 
 def array_columns(values: Array, directions: Directions = ()) -> Columns:
     """Return columns that are given as an array, shape (n, m, columns)."""
     n, m, width = values.shape
-    return row_columns(Factors(tuple((i, np.arange(width), values[:, i].T) for i in range(m)), width), n, m, directions)
+    made = Factors(tuple((i, np.arange(width), values[:, i].T) for i in range(m)), width)
+    return factor_columns(made, np.broadcast_to(np.eye(m), (n, m, m)), directions)
 
 
 def serial_columns(E: Columns, order: Array, noise: SerialNoise) -> Columns:

@@ -12,6 +12,7 @@ import numpy as np
 
 from casadical.core.basics import Array, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
+from casadical.core.statistics import stepwise
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
@@ -36,6 +37,9 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
+# Label of a form, its effects, and the ranking from which it was taken.
+Form = tuple[str, tuple[Effect, ...], Ranking]
+
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     """Return up to four forms that best describe the remaining error, with held-out errors.
@@ -53,40 +57,35 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     ranking = found.rankings[-1].restricted_to(by_label)
     if ranking.none > SETTINGS.max_p_nothing_further or by_label[ranking.order[0]].listed:
         return None
-    forms: dict[str, tuple[Effect, ...]] = {}
 
-    def ranked(without: str = "") -> Ranking:
-        """Return the posterior over an additional form given the chosen ones, except `without`."""
-        others = [case.group(e) for label, e in forms.items() if label != without]
-        return rank(case, np.unique(np.concatenate([found.columns, *others])), named | forms.keys() - {without})
+    def columns_with(forms: Sequence[Form]) -> Array:
+        """Return the indices of the columns of the causes and of some forms, shape (k,)."""
+        return np.union1d(found.columns, case.group([e for _, effects, _ in forms for e in effects]))
 
-    def best(ranking: Ranking) -> tuple[str, tuple[Effect, ...]]:
-        """Return label and effects of the most probable form."""
-        label = ranking.order[0]
-        return label, by_label[label].variants[ranking.variant[label]]
+    def ranked(forms: Sequence[Form]) -> Ranking:
+        """Return the posterior over an additional form given some."""
+        return rank(case, columns_with(forms), named | {label for label, *_ in forms})
 
-    while (
-        len(forms) < 4
-        and ranking.none <= SETTINGS.max_p_nothing_further
-        and ranking.probability[ranking.order[0]] > 0.5
-    ):
-        label, variant = best(ranking)
-        forms[label] = variant
-        ranking = ranked()
-    for label in list(forms) if len(forms) > 1 else ():
-        again = ranked(label)
-        del forms[label]
-        better, variant = best(again)
-        forms[better] = variant
-    columns = np.unique(np.concatenate([found.columns, *(case.group(e) for e in forms.values())]))
+    def next_form(given: Sequence[Form]) -> Form:
+        """Return the most probable form in addition to some."""
+        own = ranked(given) if given else ranking
+        return (label := own.order[0]), by_label[label].variants[own.variant[label]], own
+
+    def enough(form: Form) -> bool:
+        """Return whether a form is added to the description."""
+        label, _, own = form
+        return own.none <= SETTINGS.max_p_nothing_further and own.probability[label] > 0.5
+
+    _, forms, _ = stepwise(next_form, enough, 4)
+    columns = columns_with(forms)
     noise = found.noise if found.effects() else found.rankings[0].noise[""]
     before = partitioned_errors(case.evidence, found.columns, noise, seed)
-    last = ranked()
+    last = ranked(forms)
     after = partitioned_errors(case.evidence, columns, last.noise[""], seed)
     means = float(before.mean()), float(after.mean())
     interval = shrink_interval(before, after, seed, case.evidence.stop)
-    effects = tuple(e for variant in forms.values() for e in variant)
-    return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval, last)
+    effects = tuple(e for _, variant, _ in forms for e in variant)
+    return Unlisted(tuple(label for label, *_ in forms), effects, *means, 1 - means[1] / means[0], interval, last)
 
 
 def discover(
