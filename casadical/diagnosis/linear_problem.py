@@ -376,6 +376,8 @@ class Case:
         more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
         own = replace(evidence, E=E.at(np.flatnonzero(self.inliers)), cause_prior=cause_prior)
         take_over_cache(own, evidence)
+        for name in ("fits", "noise_forms"):  # of columns that both have
+            own.cache[name] = evidence.cache.setdefault(name, {})
         more._with_evidence(own)
         if self.form is not WHITE_FORM:
             take_over_cache(more.judged, self.judged)

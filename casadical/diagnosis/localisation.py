@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
 from casadical.core.statistics import thirds
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
@@ -203,20 +203,20 @@ def _smooth_functions(case: Case) -> Array:
     return np.stack(parts, axis=1)
 
 
-def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
+def group_variances(y: Array, groups: list[Array], K: Array, sigma: float) -> tuple[Array, float]:
     """Return the maximum-likelihood variance of each group's coefficients, and the noise.
 
     The variances have the shape (groups,); the noise is a standard deviation [m].
-    y : whitened residual, shape (n,); K : Gram matrices of the groups (see `products_of_rows`)
+    y : whitened residual, shape (n,)
+    groups, K : columns, shape (n, columns) each, and their Gram matrices (see `products_of_rows`)
     sigma : lower bound of the noise [m], which is larger where no group explains the residual
     """
     size, variance = _even_variances(y, K), sigma**2
     for _ in range(40):
-        root = root_of_inverse(_total(K, size, variance))
-        inverse = root.T @ root
+        inverse = inverse_of(_total(K, size, variance))
         z = inverse @ y
-        fit, cost = K @ np.outer(z, z).ravel(), K @ inverse.ravel()
-        size *= np.sqrt(fit / np.maximum(cost, 1e-30))
+        fit = np.array([(z @ g) @ (z @ g) for g in groups])
+        size *= np.sqrt(fit / np.maximum(K @ inverse.ravel(), 1e-30))
         variance = max(variance * float(np.sqrt(z @ z / np.trace(inverse))), sigma**2)
     return np.asarray(size), float(np.sqrt(variance))
 
@@ -224,7 +224,7 @@ def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]
 def _even_variances(y: Array, K: Array) -> Array:
     """Return the variance at which each group alone explains 1 / groups of y's square, (groups,).
 
-    y, K : see `variances_of_groups`
+    y, K : see `group_variances`
     """
     return np.asarray(float(y @ y) / len(K) / np.maximum(K[:, :: len(y) + 1].sum(axis=1), 1e-30))
 
@@ -235,7 +235,7 @@ def _drawn_variances(
     """Return draws of the groups' variances, shape (draws, groups).
 
     Each is drawn from its posterior given the maximum-likelihood variances of the others.
-    y, K : see `variances_of_groups`; groups : columns, shape (n, columns) each
+    y, K : see `group_variances`; groups : columns, shape (n, columns) each
     size : maximum-likelihood variances, shape (groups,); sigma : noise [m]
     """
     sizes = []
@@ -284,7 +284,7 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
         directions that the data determine equally and how many of them move a pose.
     """
     K = products_of_rows(groups)
-    size, sigma = variances_of_groups(y, K, sigma)
+    size, sigma = group_variances(y, groups, K, sigma)
     draws, each = [], SETTINGS.posterior_draws // SETTINGS.variance_draws
     for own in _drawn_variances(y, groups, K, size, sigma, rng):
         prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]

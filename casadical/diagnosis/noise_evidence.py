@@ -115,9 +115,8 @@ class Problem:
         return self._cache[form][0]
 
     def residual(self, form: Form, rho: int) -> Array:
-        """Return the residual of the fit whitened for a form, shape (n, 3) [m].
+        """Return the whitened residual of the fit, in the order of measuring, shape (n, 3) [m].
 
-        It is in the order of measuring and whitened for sigma = 1.
         rho : index of the repeatability ratio in `RHO_GRID`
         """
         self.log_likelihood(form)

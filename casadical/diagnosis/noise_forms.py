@@ -62,7 +62,10 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     first = ranking.order[0]
     unsized = {noisy_joint_label(part) for c in case.candidates if c.label == first for part in c.variants[0][0].parts}
     # Where no cause is detected, a noisy joint may be.
-    forms = [f for f in noise_forms(case, chosen, of_instrument=seen) if f.label not in unsized]
+    cache, key = case.evidence.cache.setdefault("noise_forms", {}), (chosen.tobytes(), seen)
+    if key not in cache:
+        cache[key] = noise_forms(case, chosen, of_instrument=seen)
+    forms = [f for f in cache[key] if f.label not in unsized]
     mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}
     plain = none = float(np.log(prior["none"]))
     noise_form = ""
@@ -220,8 +223,7 @@ def unequal_forms(problem: Problem, places: Array) -> list[Form | None]:
         turned = residual if axes is None else np.einsum("nij,nj->ni", axes, residual)
         square, cost = (turned**2).mean(axis=0), 0.5 * numbers * np.log(n)
         gain = 0.5 * n * (3 * np.log(square.mean()) - np.log(square).sum())
-        form = Form(axes=axes)
-        times = np.ones(3)
+        form, times = Form(axes=axes), np.ones(3)
         for turn in range(3 if gain > cost else 0):
             if turn:
                 square = (_likely_residual(problem, form) ** 2).mean(axis=0)
@@ -234,9 +236,7 @@ def unequal_forms(problem: Problem, places: Array) -> list[Form | None]:
 
 def _likely_residual(problem: Problem, form: Form) -> Array:
     """Return the whitened residual under the likeliest noise of a form, shape (n, 3) [m]."""
-    white = form is WHITE_FORM
-    grid = problem.e.log_base(problem.chosen) if white else problem.log_likelihood(form)
-    noise = likely_noise(grid, problem.e.sigmas)
+    noise = likely_noise(problem.log_likelihood(form), problem.e.sigmas)
     rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
     return problem.residual(form, rho)
 
@@ -250,9 +250,8 @@ def heavy_tailed_form(problem: Problem) -> Form | None:
     share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor
     log_odds = np.log(share / (1 - share)) - numbers * np.log(factor)
     times, form = np.ones(n), WHITE_FORM
-    grid = problem.e.log_base(problem.chosen)
     for _ in range(3):
-        noise = likely_noise(grid, problem.e.sigmas)
+        noise = likely_noise(problem.log_likelihood(form), problem.e.sigmas)
         unscaled = _likely_residual(problem, form) * times[:, None]
         square = (unscaled**2).sum(axis=1) / noise.sigma**2
         before, times = times, np.where(log_odds + 0.5 * square * (1 - factor**-2) > 0, factor, 1.0)
@@ -261,5 +260,4 @@ def heavy_tailed_form(problem: Problem) -> Form | None:
         out = int((times > 1).sum())
         weight = out * np.log(share) + (n - out) * np.log(1 - share) - numbers * out * np.log(factor)
         form = Form(scale=times, log_weight=float(weight))
-        grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

@@ -18,10 +18,10 @@ from casadical.diagnosis.localisation import (
     DIRECTION_COLUMNS,
     PART_COLUMNS,
     Localisation,
+    group_variances,
     localise,
     localise_residual,
     products_of_rows,
-    variances_of_groups,
 )
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Noise
@@ -192,7 +192,7 @@ def test_sizes_of_parts_are_those_of_a_dense_inverse() -> None:
     rng, sigma = np.random.default_rng(0), 1e-3
     groups = [rng.normal(size=(700, width)) * np.geomspace(1, 1e-3, width) for width in (30, 60)]
     y = groups[0] @ rng.normal(size=30) + sigma * rng.normal(size=700)
-    size, noise = variances_of_groups(y, products_of_rows(groups), sigma)
+    size, noise = group_variances(y, groups, products_of_rows(groups), sigma)
     assert 0.3 < size[0] < 3.0
     assert size[1] < 1e-3 * size[0]
     assert noise == pytest.approx(sigma, rel=0.2)

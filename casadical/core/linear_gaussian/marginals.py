@@ -141,7 +141,10 @@ class Marginals:
 
     def estimates_of_base(self) -> dict[int, Array]:
         """Return the estimate of the base parameters, shape (P,), by index of the grid point."""
-        return {k: own.root.T @ own.z for k, own in self._model_with(NO_COLUMNS).at.items()}
+        from scipy.linalg import solve_triangular
+
+        at = self._model_with(NO_COLUMNS).at
+        return {k: solve_triangular(own.L.T, own.z) * own.scale for k, own in at.items()}
 
     def log_grids(self, groups: Sequence[Array], also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood with each group as a cause, (groups, points, sigmas, kappas).
