@@ -194,7 +194,6 @@ def _text(error: Any) -> str:
     """Return the message of one of pydantic's errors in the wording of casadical."""
     if error["type"] in _MESSAGES:
         return _MESSAGES[error["type"]]
-    # Pydantic's name of the limit of a list's length, by the word that a message has for it.
     limits = {"most": "max_length", "least": "min_length"}
     if error["type"] in ("too_long", "too_short"):
         wanted = next(f"at {w} {error['ctx'][k]}" for w, k in limits.items() if k in error["ctx"])

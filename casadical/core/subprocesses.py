@@ -64,7 +64,6 @@ def one_thread() -> None:
 
     To be called before numpy is loaded.
     """
-    # Environment variables that linear algebra libraries read once, when they are loaded.
     thread_variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
     if not any(name in os.environ for name in thread_variables):
         os.environ.update(dict.fromkeys(thread_variables, "1"))

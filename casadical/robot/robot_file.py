@@ -161,7 +161,6 @@ def to_toml(
     widths = {group: in_file_units(w, **width_units) for group, w in robot.widths.items() if w != WIDTHS[group]}
     if robot.body_width != BodyWidth():
         widths["body"] = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
-    # Keys of a four-bar with their units in a file.
     four_bar_units = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
     tables = {
         "casadical": 2 if more else 1,

@@ -241,7 +241,17 @@ def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
             words = {"text": plain(mark.text), "font": {"size": 11, "color": _colour(mark.colour)}}
             picture.add_annotation(**words, x=at, y=1, yref="y domain", yanchor="bottom", showarrow=False)
     else:
-        _note(picture, figure, mark)
+        anchors, way = _SIDES[mark.side]
+        number = "" if mark.panel == 0 else str(mark.panel + 1)
+        refs = {"xref": f"x{number}", "yref": f"y{number}"}
+        refs |= {axis + "ref": f"{axis}{number} domain" for axis in "xy" if axis in mark.frame}
+        x, y = (
+            log10(value) if getattr(figure, axis).log and axis not in mark.frame else value
+            for axis, value in (("x", mark.x), ("y", mark.y))
+        )
+        refs |= {"xshift": way * mark.gap, "showarrow": False, "text": plain(mark.text)}
+        font = {"size": mark.size, "color": _colour(mark.colour)}
+        picture.add_annotation(x=x, y=y, font=font, **refs, **anchors)
 
 
 # Plotly's anchors of a note, and the sign of its shift along x, by the side of its position on
@@ -253,28 +263,6 @@ _SIDES: dict[str, tuple[dict[str, str], int]] = {
     "below right": ({"xanchor": "left", "yanchor": "top"}, 0),
     "below left": ({"xanchor": "right", "yanchor": "top"}, 0),
 }
-
-
-def _note(picture: Picture, figure: Figure, note: Note) -> None:
-    """Add a text to the picture, in the panel and on the side that the note names."""
-    anchors, way = _SIDES[note.side]
-    number = "" if note.panel == 0 else str(note.panel + 1)
-    refs = {"xref": f"x{number}", "yref": f"y{number}"}
-    refs |= {axis + "ref": f"{axis}{number} domain" for axis in "xy" if axis in note.frame}
-    x, y = (
-        log10(value) if getattr(figure, axis).log and axis not in note.frame else value
-        for axis, value in (("x", note.x), ("y", note.y))
-    )
-    picture.add_annotation(
-        text=plain(note.text),
-        x=x,
-        y=y,
-        **refs,
-        **anchors,
-        xshift=way * note.gap,
-        showarrow=False,
-        font={"size": note.size, "color": _colour(note.colour)},
-    )
 
 
 def _space(picture: Picture) -> None:

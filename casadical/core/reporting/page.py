@@ -6,7 +6,6 @@ import math
 import platform
 import shlex
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -77,39 +76,27 @@ def _text(name: str) -> str:
     return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """Files, versions, command and time from which a report was made.
-
-    files : path and SHA-256 of every file that was read
-    versions : name and version of each library, of Python and of the platform
-    command : command line, quoted for a shell
-    date : date and time, UTC
-    """
-
-    files: tuple[tuple[str, str], ...]
-    versions: tuple[tuple[str, str], ...]
-    command: str
-    date: str
-
-
-def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
+def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> dict[str, Any]:
     """Return the provenance of a report made from files, which are read and hashed here.
+
+    The keys are `files` (SHA-256 by path), `versions` (of each library, of Python and of the
+    platform, by name), `command` (quoted for a shell) and `date` (date and time, UTC).
 
     command : words of the command line
     now : date and time, UTC; None: those of the clock
     Raises InputError where a file cannot be read.
     """
-    return Provenance(
-        files=tuple((str(path), sha256(path)) for path in dict.fromkeys(files)),
-        versions=(
-            *((name, _version(name)) for name in ("casadical", "casadi", "numpy", "pandas", "plotly")),
-            ("Python", platform.python_version()),
-            ("platform", f"{platform.system()} {platform.machine()}"),
-        ),
-        command=shlex.join(command),
-        date=(now or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC"),
-    )
+    libraries = ("casadical", "casadi", "numpy", "pandas", "plotly")
+    system = {
+        "Python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+    }
+    return {
+        "files": {str(path): sha256(path) for path in files},
+        "versions": {name: _version(name) for name in libraries} | system,
+        "command": shlex.join(command),
+        "date": (now or datetime.now(UTC)).strftime("%Y-%m-%d %H:%M UTC"),
+    }
 
 
 def sha256(path: Path) -> str:

@@ -123,15 +123,9 @@ def _words(sheet: Sheet, block: Words, scale: float) -> None:
 
     scale : factor on the size of the font
     """
-    # Style (bold, italic) and size [pt] of the font, by kind of words.
-    font_by_kind = {
-        "title": ("B", 15),
-        "verdict": ("B", 10),
-        "warning": ("B", 8.5),
-        "error": ("B", 8.5),
-        "note": ("I", 8),
-    }
-    style, points = font_by_kind.get(block.kind, ("", 8.5))
+    bold = {"title": 15, "verdict": 10, "warning": 8.5, "error": 8.5}  # size of type [pt]
+    style = "B" if block.kind in bold else "I" if block.kind == "note" else ""
+    points = bold.get(block.kind, 8 if style else 8.5)
     role = "muted" if block.kind == "note" else "ink"
     _line(sheet, f"{block.mark} {block.text}".strip(), style, points * scale, role)
     sheet.ln(0.6 * scale)

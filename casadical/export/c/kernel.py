@@ -176,20 +176,6 @@ def _pointer(array: Array) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def rows_source(shape: Shape) -> str:
-    """Return the C text of functions that call the exported ones for each row of many joints.
-
-    It is compiled with the export but not part of it.
-    """
-    values = {"name": shape.name, "n": str(shape.joints)}
-    parts = [f'#include "{shape.name}.h"\n']
-    for function, size in shape.outputs.items():
-        parts.append(filled(template("rows.c"), values | {"function": function, "size": str(size)}))
-    if "correct" in shape.outputs:
-        parts.append(filled(template("rows_step.c"), values))
-    return "".join(parts)
-
-
 def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
     """Compile an export's sources and the loops over rows into a new shared library, and load it.
 
@@ -203,7 +189,13 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
     how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
     library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
     wrapper = library.with_suffix(".c")  # one per compiler, as compilers run concurrently
-    wrapper.write_text(rows_source(shape), encoding="utf-8")
+    values = {"name": shape.name, "n": str(shape.joints)}
+    rows = [f'#include "{shape.name}.h"\n']  # functions that call the exported ones for each row
+    for function, size in shape.outputs.items():
+        rows.append(filled(template("rows.c"), values | {"function": function, "size": str(size)}))
+    if "correct" in shape.outputs:
+        rows.append(filled(template("rows_step.c"), values))
+    wrapper.write_text("".join(rows), encoding="utf-8")
     usual = ["-std=c99", "-fPIC", "-shared", "-O2", f"-I{sources[0].parent}"]
     files = map(str, (*sources, wrapper))
     run = run_within([compiler.command, *usual, *flags, *files, "-o", str(library)], COMPILE_SECONDS)

@@ -226,7 +226,16 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
             *[counted] * (network is not None and real.counts_otherwise),
         ),
     )
-    _refuse_far_apart(command, sources)
+    q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
+    away = mapped(command.calibrated, q) - mapped(command.nominal, q)
+    apart = np.linalg.norm(away[:, :3], axis=1)
+    if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
+        raise InputError(
+            f"{_source_name(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from "
+            f"that of {_source_name(sources.robot)} (median over the joints' ranges); at most 100 "
+            "mm can be corrected: are both files of one robot, and with --tool own, is the nominal "
+            "tool really the one that the controller holds?"
+        )
     return command
 
 
@@ -412,19 +421,6 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
             f"{_source_name(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; "
             f"{_source_name(sources.robot)} has {real.n} and {len(real.loops)}: both files must be "
             "of one robot"
-        )
-
-
-def _refuse_far_apart(command: Command, sources: Sources) -> None:
-    """Refuse tools over 100 mm apart in the median of random joints. Raises InputError."""
-    q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
-    apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
-    if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
-        raise InputError(
-            f"{_source_name(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from "
-            f"that of {_source_name(sources.robot)} (median over the joints' ranges); at most 100 "
-            "mm can be corrected: are both files of one robot, and with --tool own, is the nominal "
-            "tool really the one that the controller holds?"
         )
 
 

@@ -206,8 +206,8 @@ class Certificate(Acceptance):
             model_note = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
             iso_blocks: list[Words | Table] = [replace(iso.table(), title=""), Words(drift + model_note + w["iso"])]
             second.append(Section("ISO 9283:1998", iso_blocks))
-        made = provenance_of(self.files_)
-        rows = [(Path(path).name, code[:32]) for path, code in made.files]
+        files = provenance_of(self.files_)["files"]
+        rows = [(Path(path).name, code[:32]) for path, code in files.items()]
         second.append(Section(w["files"], [Table("", (w["file"], "SHA-256 (32)"), rows)]))
         title = f"{w['title']}: {self.problem.robot.name}"
         return [
@@ -239,7 +239,7 @@ class Certificate(Acceptance):
         """
         d, c, i = self.details, self.details.conditions, self.details.instrument
         degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
-        made_by = f"casadical {dict(provenance_of(()).versions).get('casadical', '')}"
+        made_by = f"casadical {provenance_of(())['versions']['casadical']}"
         method = f"{self.method} ({w[self.method] if self.method in w else w['other']}), {made_by}"
         low, high = 1e3 * self.places.min(axis=0), 1e3 * self.places.max(axis=0)
         span = ", ".join(f"{c} {a + 0.0:.0f} .. {b:.0f}" for c, a, b in zip("xyz", low, high, strict=True))

@@ -130,7 +130,18 @@ class Tree:
         if not self.names:
             raise InputError(f"{source}: holds no link; a xacro must be expanded first")
         for j in urdf.joints:
-            self._attach(j)
+            for end in (j.parent, j.child):
+                if end not in self.below:
+                    fault = f"joint {j.name!r} names link {end!r}, which is not there"
+                    raise InputError(f"{source}: {fault}")
+            if j.child in self.above:
+                raise InputError(
+                    f"{source}: link {j.child!r} is below two joints, "
+                    f"{self.above[j.child].name!r} and {j.name!r}; a URDF is a tree, closed loops "
+                    "belong in a robot file"
+                )
+            self.above[j.child] = j
+            self.below[j.parent].append(j)
         for name in self.names:
             link = name
             for _ in self.names:  # a ring above it is reported for its own links
@@ -139,20 +150,6 @@ class Tree:
                 link = self.above[link].parent
                 if link == name:
                     raise InputError(f"{source}: link {name!r} is below itself; a URDF is a tree")
-
-    def _attach(self, j: Any) -> None:
-        """Add joint j to the tree. Raises InputError for unknown links and a second parent."""
-        for end in (j.parent, j.child):
-            if end not in self.below:
-                raise InputError(f"{self.source}: joint {j.name!r} names link {end!r}, which is not there")
-        if j.child in self.above:
-            raise InputError(
-                f"{self.source}: link {j.child!r} is below two joints, "
-                f"{self.above[j.child].name!r} and {j.name!r}; a URDF is a tree, closed loops "
-                "belong in a robot file"
-            )
-        self.above[j.child] = j
-        self.below[j.parent].append(j)
 
     @property
     def root(self) -> str:

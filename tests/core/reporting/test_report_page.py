@@ -94,12 +94,12 @@ def test_the_diagnosis_tells_what_it_cannot_see_and_what_chance_does(diagnosis, 
 def test_provenance_names_hash_versions_command_and_date() -> None:
     files = problem_files(read_problem(ROOT / "problems/hh800"))
     found = provenance_of(files, ["casadical", "calibrate", "my robot"], datetime(2026, 11, 21, 5, 7, tzinfo=UTC))
-    hashes = dict(found.files)
+    hashes = found["files"]
     data = next(path for path in hashes if path.endswith("hh800_twin.csv"))
     assert hashes[data] == hashlib.sha256((ROOT / "data/hh800_twin/hh800_twin.csv").read_bytes()).hexdigest()
-    assert found.command == "casadical calibrate 'my robot'"
-    assert found.date == "2026-11-21 05:07 UTC"
-    assert dict(found.versions)["casadical"]
+    assert found["command"] == "casadical calibrate 'my robot'"
+    assert found["date"] == "2026-11-21 05:07 UTC"
+    assert found["versions"]["casadical"]
     names = [path.name for path in campaign_files(ROOT / "problems/hh800", [Path("a.csv")])]
     assert names == ["problem.toml", "campaign.robot.toml", "a.csv"]
 

@@ -203,29 +203,25 @@ class _Program:
     def _target(self, name: str, value: Tree[Token], near: Tree[Token] | None) -> Target:
         """Return the target of a pose or list; near : its `qnear`.
 
-        Raises InputError: numbers look like other units.
+        Raises InputError: numbers above 20 m or 4 pi rad, which look like other units.
         """
         line, joints = value.meta.line, value.data == "list"
         read, wanted = _numbers(value), self.joints if joints else 6
         if read is None or len(read) != wanted:
             return Target(line, name, joints, (), skip_reason=f"is not made of {wanted} numbers")
         made = Target(line, name, joints, read)
-        self._refuse_units(made)
-        return made if near is None or joints else replace(made, near=_si(near))
-
-    def _refuse_units(self, target: Target) -> None:
-        """Check that a target is within 20 m and 4 pi rad. Raises InputError if not."""
-        size = np.abs(target.si)
-        if not target.joints and size[:3].max() > 20.0:
+        size = np.abs(made.si)
+        if not joints and size[:3].max() > 20.0:
             raise InputError(
-                f"{self.source}: line {target.line}: {target.name} is {size[:3].max():g} m away; "
+                f"{self.source}: line {line}: {name} is {size[:3].max():g} m away; "
                 "URScript has metres, and this looks like millimetres"
             )
-        if (size if target.joints else size[3:]).max() > 4 * np.pi:
+        if (size if joints else size[3:]).max() > 4 * np.pi:
             raise InputError(
-                f"{self.source}: line {target.line}: {target.name} has an angle of {size.max():g} "
+                f"{self.source}: line {line}: {name} has an angle of {size.max():g} "
                 "rad; URScript has radians, and this looks like degrees: write d2r(..)"
             )
+        return made if near is None or joints else replace(made, near=_si(near))
 
 
 def _keyword(argument: Tree[Token]) -> str:
