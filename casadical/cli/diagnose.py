@@ -12,6 +12,7 @@ from typer import Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, importing, save, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
+from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.result import shortened
 
 if TYPE_CHECKING:
@@ -216,14 +217,18 @@ def _diagnose_logs(
         answer = campaign.diagnosed(show)
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show, against)
-    # How large the gap is and what makes it comes before what a usual arm would have.
+    # How large the gap is and what makes it comes before what a usual arm would have; tables end.
+    printed: list[Block] = []
     for result, n_lines in ((replay, 20), (answer, 22 if not replay else 1 if answer.named else 3)):
         if result:
             blocks = result.blocks()
-            tell(console, *(blocks if details else shortened(blocks, n_lines)))
-            console.print()
+            printed += blocks if details else shortened(blocks, n_lines)
             if out:
                 texts |= result.files(out)
+    if not details:
+        printed.sort(key=lambda block: isinstance(block, Table))
+    tell(console, *printed)
+    console.print()
     if report_file:
         texts[report_file] = html([campaign.page(answer, replay)])
     if not details:

@@ -1,16 +1,12 @@
 """Open-loop replay of the real SO-101's thirteen motions, each quarter of them withheld in turn; mrad rms a joint.
 
-The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model, and without one effect
-at a time; the same of the torques of a UR10 and a Panda, whose bags (ur10_exciting, panda_exciting: repository
-unisa-acg/inverse-dynamics-solver) are in BAGS. Then what the diagnosis says of each motion on its own: the arm is
-healthy as far as its makers know, and nobody knows the true causes.
-
-Made by
+The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model, without one effect at a
+time and with published parameters; the torques of a UR10 and a Panda, whose bags (ur10_exciting, panda_exciting:
+repository unisa-acg/inverse-dynamics-solver) are in BAGS. Then what the diagnosis says of each motion on its own: the
+arm is healthy as far as its makers know, and nobody knows the true causes. Made by
 
     python docs/studies/joint_replay.py BAGS > docs/studies/joint_replay.txt
-    python docs/studies/joint_replay.py docs/images/so101.png
-
-the second of which draws the motions of report.
+    python docs/studies/joint_replay.py docs/images/so101.png     # draws the motions of report
 """
 
 from __future__ import annotations
@@ -23,6 +19,7 @@ import numpy as np
 
 from casadical import read_robot
 from casadical.core.reporting.result import plain_text
+from casadical.diagnosis.motion.against import arbitration_tables
 from casadical.diagnosis.motion.friction_laws import friction_laws
 from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import diagnose_log
@@ -60,9 +57,10 @@ def main() -> None:
         assert drawn is not None
         picture(drawn, sys.argv[1])
         return
+    published = sorted((ROOT / "data/so101_logs/published").glob("*.csv"))
     for title, found in (
         (f"{len(logs)} motions, each quarter withheld in turn", replayed(robot, logs)),
-        ("problems/so101: the motions of report", campaign.replayed()),
+        ("problems/so101: the motions of report", campaign.replayed(against=published)),
     ):
         assert found is not None
         print(f"real data, SO-101: {title}; rms [mrad], joints 1 to 6")
@@ -76,13 +74,14 @@ def main() -> None:
     print(f"{'by the exported MJCF in MuJoCo':32}", *(f"{1e3 * v:6.2f}" for v in np.sqrt((left**2).mean(axis=0))))
     print("real data, SO-101, the motions of report;", found.effects.sentence)
     print(plain_text([found.effects.table()], 100))
+    print(plain_text([*arbitration_tables(found.runs[0].joints, found.after, found.against)], 180))
     for name, problem in (("ur10_exciting", "ur10"), ("panda_exciting", "panda_1")):
         (bag,) = Path(sys.argv[1], name).glob("*.db3")
         arm = read_robot(ROOT / "problems" / problem / "robot.toml")
         laws = friction_laws(read_log(bag, arm), arm_of(arm))
         assert laws is not None
         print(f"real data, {name}, robot file of problems/{problem}; {laws.effects.sentence}\n{laws.explained}")
-        print(plain_text(laws.tables()[:2], 100))
+        print(plain_text(laws.tables(), 100))
     print("real data, SO-101, commands and readings alone: verdict of each motion, and what fits best (a hint)")
     for log in logs:
         answer = diagnose_log(robot, log)

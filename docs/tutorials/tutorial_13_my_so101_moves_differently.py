@@ -127,3 +127,19 @@ for effect, rms in {"position = command": before, **without, "nothing": after}.i
     print(f"{effect:20}", *(f"{1e3 * v:6.1f}" for v in rms))
 worst = max(without, key=lambda effect: float((without[effect] ** 2 - after**2).sum()))
 assert worst in ("dry friction", "gravity")
+
+# %%
+# And a cause by its name
+# -----------------------
+# In a copy of one motion the wrist roll stops at -0.17 rad, as at a cable: its reading stays while commands go on, and
+# its current rises. The command names the stop with its angle; the replay and the exported model have it, too.
+
+stopped = pd.read_csv(LOGS / "symmetric_motion.csv.gz")
+beyond = stopped["q5_rad"] < -0.17
+stopped.loc[beyond, "q5_rad"] = -0.17
+stopped.loc[beyond, "current5_abs"] *= 8
+stopped.to_csv(folder / "stopped.csv", index=False)
+assert casadical("diagnose", ROOT / "problems/so101/robot.toml", "stopped.csv", "--json", folder / "stop.json") == 0
+(cause,) = json.loads((folder / "stop.json").read_text())["causes"]
+assert (cause["effect"], cause["joint"]) == ("contact", 5)
+assert abs(cause["angle_rad"] + 0.17) < 0.002

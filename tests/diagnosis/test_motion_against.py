@@ -9,7 +9,7 @@ import pytest
 from test_motion_replay import DAMPED, DRY, GAIN, LATE, moved
 from typer.testing import CliRunner
 
-from casadical import Body, InputError, Joint, Robot, write_robot
+from casadical import Body, InputError, Joint, Robot, read_robot, write_robot
 from casadical.cli.root import app
 from casadical.diagnosis.motion.against import read_parameters
 from casadical.diagnosis.motion.replay import replayed
@@ -88,6 +88,14 @@ def test_an_mjcf_is_read_as_mujoco_reads_it(tmp_path):
     np.testing.assert_allclose(found["damping"], torque(zero, zero) - torque(zero, ones))
     path.write_text(MJCF.replace("kv=", "dampratio="))  # its damping depends on the inertias
     np.testing.assert_array_equal(np.isnan(read_parameters(path, ARM)["damping"]), [False, True])
+
+
+def test_published_sets_are_of_the_joints_of_the_so101():
+    root = Path(__file__).parents[2]
+    robot, files = read_robot(root / "problems/so101/robot.toml"), (root / "data/so101_logs/published").glob("*.csv")
+    gains = [read_parameters(path, robot)["kp"] for path in files]
+    assert np.shape(gains) == (6, 6)
+    assert np.isfinite(gains).all()
 
 
 def test_files_that_say_nothing_of_the_arm_are_refused(tmp_path):

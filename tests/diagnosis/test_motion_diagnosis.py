@@ -202,6 +202,11 @@ def test_what_fits_is_true_of_runs_that_were_not_fitted_and_shrinks_their_gap():
     assert held_out_after[1] < 0.5 * held_out_before[1]
     assert (held_out_after > 0.95 * after).all()
     assert (held_out_before > 0.95 * before).all()
+    table = found.cause_effects.table()
+    assert [row[0] for row in table.rows] == ["everything", "ripple@2", "(in sum)", "nothing"]
+    assert table.rows[0][1:] == table.rows[1][1:] == tuple(f"{v:.3g}" for v in held_out_before)
+    assert found.to_json()["cause_effects"]["ripple@2"] == pytest.approx(held_out_before)
+    assert table in found.blocks()
     assert found.to_json()["joints"][1]["after_left_out"] == pytest.approx(held_out_after[1])
 
 

@@ -80,7 +80,7 @@ def draw(figure: Figure) -> Picture:
         hoverlabel={"font": font | {"color": INK_COLOUR}} | label,
         legend={"orientation": "h"} | at_top | {"y": 0, "yanchor": "bottom"},
     )
-    if any(s.z is not None and s.kind != "map" for s in figure.series):
+    if any(s.z is not None for s in figure.series):
         _space(picture)
     elif figure.panels:
         _panels(picture, figure)
@@ -151,12 +151,6 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
     if s.kind == "bars":
         trace |= {"marker": {"color": colour, "line": {"width": 0}}, "orientation": "h", "width": s.width}
         picture.add_bar(**trace, **place)
-        return
-    if s.kind == "map":
-        trace = {k: trace[k] for k in ("x", "y", "opacity", "visible")}
-        bar = {"thickness": 10, "outlinewidth": 0}
-        scale = [[0, PAPER_COLOUR], [1, colour]]
-        picture.add_heatmap(**trace, z=s.z, zmin=0, zmax=s.size, colorscale=scale, colorbar=bar, hoverinfo="x+z")
         return
     marker = {"color": colour, "symbol": s.symbol, "size": s.size}
     line = {"color": colour, "width": s.width, "dash": s.dash}

@@ -16,13 +16,13 @@ Values = Any
 class Series:
     """One series of a figure.
 
-    kind : how it is drawn: markers, a line, both, horizontal bars, a filled area, or a map of cells
+    kind : how it is drawn: markers, a line, both, horizontal bars, or a filled area
         z, shape (y, x), in shades of the colour from 0 to `size`
-    x, y, z : coordinates of each entry, z for a 3D figure or a map
+    x, y, z : coordinates of each entry, z for a 3D figure
     name : name in the legend; empty: it is not in the legend
     colour : role of the palette, of all entries or of each
     symbol : plotly's name of the marker, of all entries or of each
-    size : diameter of the markers [px], of all entries or of each; of a map, its largest value
+    size : diameter of the markers [px], of all entries or of each
     width : width of the line [px], or of the bars in units of the axis
     dash : line style; shape : connection of consecutive points, straight or in steps
     opacity : opacity, 0 to 1
@@ -38,7 +38,7 @@ class Series:
     panel : index of the panel in which it is drawn
     """
 
-    kind: Literal["points", "line", "linked", "bars", "area", "map"]
+    kind: Literal["points", "line", "linked", "bars", "area"]
     x: Values
     y: Values
     z: Values | None = None

@@ -89,7 +89,7 @@ class EffectTable:
 
     def table(self) -> Table:
         """Return the rms errors by joint (column): with no effect, without each one, with all."""
-        short = {"dry friction": "friction", "damping": "9/10 damping"}
+        short = {"dry friction": "friction", "damping": "9/10 damp."}
         rows = {
             "everything": self.before,
             **{short.get(name, name): rms for name, rms in self.without.items()},

@@ -2,7 +2,8 @@
 
 The laws are the six of Better Actuator Models (Duclusaud et al. 2025), and friction proportional to
 the torque alone. All are linear in their coefficients, each joint has coefficients of its own, and
-masses have the priors of the robot file. The torque is the logged one, or the gain of an identified
+masses have the priors of the robot file; friction takes power from the joint, so its coefficients
+are at least zero, but for that of v |v|. The torque is the logged one, or the gain of an identified
 servo times its position error. Each third of each run is predicted by a fit to the others, and the
 rows are those in which the joint moves.
 """
@@ -13,6 +14,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from scipy.special import erfcx, log_ndtr
 
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Table
@@ -257,7 +259,8 @@ def _solved(sums: Array, own: int, columns: Sequence[int], sigma: Array) -> tupl
     """Return the coefficients of all columns and -1 for the torque, and the log evidence [nats].
 
     The coefficients have the shape (joints, n_bodies + own + 1), zero in columns that are not used;
-    evidence is relative to that of the file's bodies.
+    evidence is relative to that of the file's bodies, in Laplace's approximation, by the bounded
+    parts of the coefficients' normal priors.
     sums : products of bodies' columns, joint's columns and torque, (joints, n, n), n as above
     own : number of columns of each joint; columns : the used ones; sigma : noise, (joints,) [N m]
     """
@@ -269,8 +272,31 @@ def _solved(sums: Array, own: int, columns: Sequence[int], sigma: Array) -> tupl
         share = INDEPENDENT_SAMPLE_FRACTION / noise**2
         H[np.ix_(place, place)] += share * products[np.ix_(local, local)]
         right[place] += share * products[local, -1]
-    solution, out = np.linalg.solve(H, right), np.zeros((n, sums.shape[1]))
+    names = [*JOINT_COLUMNS, *SLOW_COLUMNS * len(STRIBECK_CURVES)]
+    either_sign = ("constant", "rotor", "curved", "gravity", "inertia")
+    bounded = np.array([False] * bodies + [names[k] not in either_sign for k in columns] * n)
+    free, solution = np.ones(len(right), dtype=bool), np.zeros(len(right))
+    fewest, tries = len(right) + 1, 0
+    for _ in range(10 * len(right)):  # block principal pivoting (Portugal, Judice, Vicente 1994)
+        solution[:] = 0.0
+        solution[free] = np.linalg.solve(H[np.ix_(free, free)], right[free])
+        slope = (H @ solution - right) / (1 + np.abs(right))
+        wrong = np.flatnonzero(bounded & np.where(free, solution < 0, slope < -1e-9))
+        if not len(wrong):
+            break
+        fewest, tries = (len(wrong), 3) if len(wrong) < fewest else (fewest, tries - 1)
+        free[wrong if tries > 0 else wrong[-1:]] ^= True
+    covariance, push = np.linalg.inv(H[np.ix_(free, free)]), (H @ solution - right)[~free]
+    coupled = H[np.ix_(~free, free)]
+    curvature = np.diag(H)[~free] - np.einsum("ik,kl,il->i", coupled, covariance, coupled)
+    evidence = 0.5 * float(right @ solution + np.linalg.slogdet(covariance)[1])
+    # Twice the normal integral over positive values: of free coefficients, and of those at zero.
+    inside = (solution[free] / np.sqrt(np.diag(covariance)))[bounded[free]]
+    evidence += float((np.log(2) + log_ndtr(inside)).sum())
+    at_zero = np.log(erfcx(push / np.sqrt(2 * curvature))) - 0.5 * np.log(curvature)
+    evidence += float(at_zero.sum())
+    out = np.zeros((n, sums.shape[1]))
     for x, place in zip(out, places, strict=True):
         x[local] = solution[place]
     out[:, -1] = -1.0
-    return out, 0.5 * float(right @ solution - np.linalg.slogdet(H)[1])
+    return out, evidence

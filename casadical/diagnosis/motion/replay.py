@@ -1,7 +1,7 @@
 """Open-loop replay of joint logs: whole runs predicted from their commands, and its figures.
 
-Errors without and with the identified response are shown over time, per joint, as a map, and as
-friction and hysteresis curves.
+Errors without and with the identified response are shown over time, and as friction and hysteresis
+curves.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -31,7 +31,6 @@ from casadical.robot.robot_file import to_toml
 
 WITHHELD_FOLDS = 4  # largest number of folds of the runs if no log is withheld
 MIN_COMMAND_SPAN_RAD = 5e-3  # a joint moves if its commands span more than this [rad]
-TIME_CELLS = 120  # number of cells of an error map along time
 SPEED_BINS = 24  # number of speed bins of a friction figure
 PANEL_HEIGHT_PX = 200  # height of each row of panels of a figure [px]
 MIN_SAMPLES_PER_BIN = 15  # speed bins of a friction figure with fewer samples are not drawn
@@ -61,7 +60,7 @@ class Replay(Result):
                 for name, b, a in zip(replay.runs[0].joints, replay.before, replay.after, strict=True)
             ],
         ),
-        Key("effects", lambda replay: {k: [*map(float, rms)] for k, rms in replay.effects.without.items()}),
+        Key("effects", "effects.without"),
         Key("summary", "effects.sentence"),
         Key("friction_law", lambda replay: replay.friction_laws.plain["laws"] if replay.friction_laws else {}),
         Key("against", lambda replay: [a.plain(replay.runs[0].joints) for a in replay.against]),
@@ -116,25 +115,6 @@ class Replay(Result):
         assert log.command is not None
         return np.asarray(log.position - (log.command if before else self.predicted[run]))
 
-    def by_time(self) -> tuple[Array, Mapping[str, Array]]:
-        """Return the centres of `TIME_CELLS` cells of the time of all runs [s], and rms errors.
-
-        The rms errors "before" (reading minus command) and "after" (minus prediction) have shape
-        (TIME_CELLS, joints) [rad], NaN in empty cells.
-        """
-        ends = np.cumsum([0.0, *(float(run.time[-1] - run.time[0]) for run in self.runs)])
-        t = np.concatenate([run.time - run.time[0] + a for run, a in zip(self.runs, ends, strict=False)])
-        edges = np.linspace(0, ends[-1], TIME_CELLS + 1)
-        part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, TIME_CELLS - 1)
-        rms = {}
-        for what in ("before", "after"):
-            squares = np.concatenate([self.residual(k, before=what == "before") for k in range(len(self.runs))]) ** 2
-            mean = [
-                squares[part == k].mean(axis=0) if (part == k).any() else squares[0] * np.nan for k in range(TIME_CELLS)
-            ]
-            rms[what] = np.sqrt(np.array(mean))
-        return (edges[1:] + edges[:-1]) / 2, rms
-
     @cached_property
     def friction_samples(self) -> tuple[Array, Array]:
         """Return speed [rad/s] and friction torque [N m] of all samples, shapes (samples, joints).
@@ -165,7 +145,7 @@ class Replay(Result):
             tables=[*self._tables()],
             summary=self.effects.sentence,
             friction=self.friction_laws,
-            against=[(a, 1e3 * float(np.sqrt((a.rms**2).mean()))) for a in self.against],
+            against=[(Path(a.source).name, a, 1e3 * float(np.sqrt((a.rms**2).mean()))) for a in self.against],
             still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
             dead_band=self._held(self.response.friction),
             droop=self._held(load),
@@ -187,22 +167,16 @@ class Replay(Result):
     def _tables(self) -> Iterator[Table]:
         """Yield the report's tables, those of friction laws and files where they exist.
 
-        The others are of errors without one effect at a time, of position, and of the response.
+        The others are of errors without one effect at a time, and of the response.
         """
         joints, r = self.runs[0].joints, self.response
         yield self.effects.table()
-        angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
-        rows = [
-            (name, f"{1e3 * b:.3g}", f"{1e3 * a:.3g}", f"{100 * (1 - a / b):.0f} %" if b > 0 else "")
-            for name, b, a in zip(joints, self.before, self.after, strict=True)
-        ]
-        yield Table(angles, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
         drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
-        if self.friction_laws:
-            yield self.friction_laws.tables()[-1]
         if self.against:
             yield from arbitration_tables(joints, self.after, self.against)
+        if self.friction_laws:
+            yield self.friction_laws.tables()[-1]
         title = (
             "Response of each joint, torques by the masses of the robot file: gain kp [N m/rad], dry friction F [N m], "
             "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]"
@@ -250,7 +224,7 @@ def replayed(
 
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:
-    """Yield the figures: errors and hysteresis of the worst run, maps of all runs, and friction.
+    """Yield the figures: errors and hysteresis of the worst run, and friction.
 
     The worst run is that with the largest mean square of reading minus command.
     """
@@ -270,7 +244,6 @@ def replay_figures(replay: Replay) -> Iterator[Figure]:
         "mrad",
         lambda j, panel: _lines(log.time - log.time[0], errors, j, panel),
     )
-    yield from _maps(replay)
     yield _panels(
         replay,
         replay.moves,
@@ -342,19 +315,3 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
         banded(middle.round(4), low.round(4), high.round(4), name="samples, 10 to 90 %", colour="grid", **place),
         Series("line", ends.round(4), law.round(4), name="found", colour="blue", **place),
     ]
-
-
-def _maps(replay: Replay) -> Iterator[Figure]:
-    """Yield the maps of each joint's rms error [mrad] over time, before and after, on one scale."""
-    time, cells = replay.by_time()
-    largest = 1e3 * float(np.nanmax(cells["before"], initial=0.0))
-    joints = replay.runs[0].joints
-    for what, values in cells.items():
-        yield Figure(
-            f"replay/map/{what}",
-            f"Where and when the readings are off, {what} [mrad rms, one scale]",
-            [Series("map", time.round(1), list(range(len(joints))), (1e3 * values.T).round(2), size=largest)],
-            x=Axis("time, run by run [s]"),
-            rows=joints,
-            height=90 + 28 * len(joints),
-        )

@@ -12,6 +12,7 @@ from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, rounded_at
+from casadical.diagnosis.motion.effect_table import EffectTable
 from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, Outcome, joint_of, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
@@ -64,6 +65,7 @@ class LogDiagnosis(Result):
         ),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
+        Key("cause_effects", "cause_effects.without"),
         Key("torque_effects", lambda d: d.torques.plain["effects"] if d.torques else {}),
         Key("torque_by_model", lambda d: d.torques.plain["models"] if d.torques else {}),
         Key("friction_law", lambda d: d.torques.plain["laws"] if d.torques else {}),
@@ -160,8 +162,20 @@ class LogDiagnosis(Result):
         The models are the fitted base, and base with causes; units are those of `gap`. Each run is
         predicted by a fit to the others (or each third of one run).
         """
-        before, after = (self._rms(p.held_out()) for p in (self.outcome.problem, self.outcome.with_causes))
-        return before, after
+        return self._held_out(()), self._held_out(self.outcome.found)
+
+    def _held_out(self, found: Sequence[Found]) -> Array:
+        """Return the rms residuals of each joint in held-out runs, with these causes."""
+        return self._rms(replace(self.outcome, found=tuple(found)).with_causes.held_out())
+
+    @cached_property
+    def cause_effects(self) -> EffectTable | None:
+        """Return the errors in held-out runs without each named cause; None without any."""
+        found, unit = self.outcome.found, self.unit[0]
+        without = {f.label: self._held_out([g for g in found if g is not f]) for f in self.named}
+        names, title = self.log.joints[: self.arm.joints], "Held-out runs, beyond a usual arm,"
+        every = (*self.held_out_gap(), without, title, unit or "mrad", 1.0 if unit else 1e3)
+        return EffectTable(names, *every) if without else None
 
     def payload(self) -> tuple[float, float] | None:
         """Return the mass at the flange minus the declared payload, and its standard error [kg].
@@ -198,6 +212,7 @@ class LogDiagnosis(Result):
         return self._report_blocks(
             said=said,
             friction=self.torques,
+            causes=self.cause_effects,
             residuals=self._gap_table(),
             fits=self._fits(),
             missing=[t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t],
@@ -230,7 +245,7 @@ class LogDiagnosis(Result):
         problem, m = self.outcome.problem, self.view.motion
         rows = problem.rows[j]
         residual = rows.r - rows.J @ problem.fit.x[rows.own]
-        if not len(residual):
+        if not residual.any():
             return ""
         residual, parts = residual**2, []
         signals = (m.q[:, j], m.v[:, j], self.view.variables["load"][:, j], m.time)
