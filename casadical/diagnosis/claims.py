@@ -28,8 +28,12 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     if not state.steps:
         return state, end
     steps = [_given_others(state, k) for k in range(len(state.steps))]
-    if listed := _without_rare(state, steps):
-        return named(listed, "ambiguous", seed)
+    listed = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
+    if len(listed) < len(steps):  # unlisted causes with one label only are never claimed
+        rest = replace(state, steps=tuple(listed)).ranked()
+        # An unlisted effect took probability from a listed one that looks like it.
+        kept = (_given_others(rest, 0, first=True),) if len(listed) == 1 else rest.steps
+        return named(replace(rest, steps=kept), "ambiguous", seed)
     there = [s for k, s in enumerate(steps) if s.labels[0] not in state.doubted and _shrinks(state, k, seed)]
     alone = len(state.steps) == 1
     further = SETTINGS.max_p_nothing_further
@@ -54,19 +58,6 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
             again, _ = next_cause(remaining, remaining.rankings[-1])
     # A cause that was removed is not certain, even if it is the most probable one again.
     return remaining, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
-
-
-def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
-    """Return the state without unlisted causes that have one label only; None if there are none.
-
-    Such effects are never claimed. If one cause remains, it is ranked again: an unlisted effect in
-    the model took probability from a listed cause that the data cannot distinguish from it.
-    """
-    listed_steps = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
-    if len(listed_steps) == len(steps):
-        return None
-    remaining = replace(state, steps=tuple(listed_steps)).ranked()
-    return replace(remaining, steps=(_given_others(remaining, 0, first=True),)) if len(listed_steps) == 1 else remaining
 
 
 def _given_others(state: State, k: int, *, first: bool = False) -> Step:

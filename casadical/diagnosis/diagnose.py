@@ -24,6 +24,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
 from casadical.diagnosis.settings import SETTINGS
+from casadical.diagnosis.structure import shown_by
 from casadical.effects import Effect, LinkMasses
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import (
@@ -220,9 +221,15 @@ class _Question:
         if prior.free:
             self.show("what changed since the campaign of the prior")
             changed, unchanged = changes(case, prior)
+        if not case.observations.plain:  # a step would count as noise of its set
+            noise, stepped = likely_noise(case.judged.log_base(), case.judged.sigmas), case
+            steps = shown_by(case, NO_COLUMNS, noise, case.form)[1]
+            for step, label in steps.items():
+                stepped = stepped.with_variants(label, [(step,)])
+            if ratios := updated_ratios(stepped, np.sort(stepped.group([*steps])), noise):
+                case = self.case(ratios).with_inliers(case.inliers)
         found = self.searched(case := self.with_unchanged_prior(case, unchanged))
-        # The ratios of the sets' noise are estimated again with the causes in the model, at most
-        # twice.
+        # The sets' noise is estimated again with the causes in the model, at most twice.
         for _ in range(2):
             ratios = updated_ratios(found.case, found.columns, found.noise)
             if ratios is None:
@@ -235,7 +242,13 @@ class _Question:
         usual = case.whole.sigmas
         if not usual[0] < found.noise.sigma < usual[-1]:
             self.show("the noise lies beyond the usual grid: searched again on a wider one")
-            found = _refuse_excessive_noise(self.searched(case.with_all_sigmas()))
+            found, most = self.searched(case.with_all_sigmas()), float(WIDE_SIGMA_GRID_M[-1])
+            if found.noise.sigma >= most:  # the robot differs too much from its file
+                remain = f"{1e3 * robust_std(found.case.whole.r):.2g} mm per coordinate remain"
+                raise InputError(
+                    f"{case.m.source}: {remain}, and noise beyond {1e3 * most:.2g} mm is not "
+                    "diagnosed; correct the robot file or the units"
+                )
         if self.laws:
             self.show("laws in place of the causes")
             found = _compared_with_laws(found)
@@ -445,18 +458,3 @@ def _turn_to_upright(robot: Robot, m: Measurements) -> Array | None:
         return None
     K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.asarray(np.eye(3) + K + K @ K / (1 + c))
-
-
-def _refuse_excessive_noise(found: Diagnosis) -> Diagnosis:
-    """Return the diagnosis unchanged. Raises InputError if its noise is beyond the widest grid.
-
-    The robot then differs too much from its file.
-    """
-    most = float(WIDE_SIGMA_GRID_M[-1])
-    if found.noise.sigma < most:
-        return found
-    sd_mm = 1e3 * robust_std(found.case.whole.r)
-    raise InputError(
-        f"{found.case.m.source}: {sd_mm:.2g} mm per coordinate remain, and noise beyond {1e3 * most:.2g} mm is not "
-        "diagnosed; correct the robot file or the units"
-    )

@@ -1,13 +1,12 @@
 """Joint error curves of a diagnosis, each with its 95 % band and the evidence for it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
@@ -107,7 +106,16 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
     place = e.J.shape[2] + np.searchsorted(columns, case.columns[effect])
     own = {j: place[part] for j, part in effect.parts.items()}
     units = {j: case.sizes(case.columns[effect][part]) for j, part in effect.parts.items()}
-    lost = _evidence_lost(fit, own)
+    square = float((fit.whitened_residual**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
+    # The log evidence that is lost without a joint's curve, with re-estimated noise.
+    lost = {}
+    for j, places in own.items():
+        prior = fit.prior[places]
+        scaled = fit.covariance[np.ix_(places, places)] / np.outer(prior, prior)
+        x = fit.x[places] / prior
+        more = float(x @ np.linalg.solve(scaled, x))
+        noisier = len(fit.y) * float(np.log1p(more / square))
+        lost[j] = 0.5 * (float(np.linalg.slogdet(scaled)[1]) + noisier)
     total = sum(max(v, 0.0) for v in lost.values()) or 1.0
     angle, orders = np.linspace(-np.pi, np.pi, 721), range(1, effect.orders + 1)
     joints = []
@@ -146,18 +154,3 @@ def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
         estimate and covariance
     """
     return shapes @ x, np.sqrt(((shapes @ covariance) * shapes).sum(axis=1))
-
-
-def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:
-    """Return, by joint, the log evidence lost without its curve [nats], with re-estimated noise.
-
-    own : indices of the parameters of each joint's curve in the fit
-    """
-    square = float((fit.whitened_residual**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
-    lost = {}
-    for j, places in own.items():
-        scaled = fit.covariance[np.ix_(places, places)] / np.outer(fit.prior[places], fit.prior[places])
-        x = fit.x[places] / fit.prior[places]
-        more = float(x @ np.linalg.solve(scaled, x))
-        lost[j] = 0.5 * float(np.linalg.slogdet(scaled)[1]) + 0.5 * len(fit.y) * float(np.log1p(more / square))
-    return lost

@@ -346,9 +346,10 @@ class Case:
         """
         case = self
         for c in self.candidates if time is not None else ():
-            event: Any = c.variants[0][0]
-            moved = replace(event, at=time) if hasattr(event, "at") else event
-            case = case if moved in case.columns else case.with_variants(c.label, [(moved,)])
+            events: list[Any] = [e for v in c.variants for e in v if hasattr(e, "at")]
+            moved = dict.fromkeys(replace(event, at=time) for event in events)
+            new = [(event,) for event in moved if event not in case.columns]
+            case = case.with_variants(c.label, new) if new else case
         return case
 
     def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:

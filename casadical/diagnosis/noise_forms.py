@@ -71,10 +71,9 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     noise_form = ""
     if len(chosen):
         noise = (AR_NOISE, HEAVY_TAILS, *UNEQUAL_AXES, *(noisy_joint_label(j) for j in joints if j))
-        own = {label: mass.pop(label) for label in noise if label in mass}
-        none = float(np.logaddexp.reduce(np.array([plain, *own.values()])))
-        best = best_of(own, own.__getitem__, logs=True)
-        noise_form = best if own[best] > plain else ""
+        own = {"": plain, **{label: mass.pop(label) for label in noise if label in mass}}
+        none = float(np.logaddexp.reduce(np.array([*own.values()])))
+        noise_form = best_of(own, own.__getitem__, logs=True)
     rivals = [f for f in forms if f.label in mass]
     return replace(ranking, log_noise=none - plain, noise_form=noise_form).with_rivals(rivals, prior)
 
@@ -105,9 +104,10 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
     problem = Problem(e, chosen, case.order)
     plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(case.robot.n)
     kinds: list[tuple[str, Sequence[Form], int]] = []
-    if of_instrument:
+    if of_instrument and e.stop is None:  # poses of one stop share how the joints repeat there
         numbers = e.count / len(e.r)
         kinds += [(AR_NOISE, [ar_form(share, len(e.r), numbers) for share in SETTINGS.ar_coefficients], 1)]
+    if of_instrument:
         kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
     if case.vectors is not None:
         unequal = unequal_forms(problem, case.positions[case.inliers][case.order])

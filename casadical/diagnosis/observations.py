@@ -240,18 +240,6 @@ class Layout:
         return out
 
 
-def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
-    """Return the layout of poses by numbers in which a stop's rows follow one another."""
-    rows, numbers = row_slices(sets), [find_kind(m.kind).numbers for m in sets]
-    counts = np.repeat(numbers, [len(m) for m in sets])
-    order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
-    # The count of numbers of all rows before each, in the order of the stops.
-    before = np.cumsum(counts[order]) - counts[order]
-    first[order] = before - before[np.searchsorted(stops.of[order], stops.of[order])]
-    places = [first[at, None] + np.arange(k) for at, k in zip(rows, numbers, strict=True)]
-    return Layout(stops, rows, [stops.of[at, None] for at in rows], places)
-
-
 def observe(
     identification: Identification,
     m: Measurements,
@@ -269,7 +257,15 @@ def observe(
     robot, where = identification.given, identification.unknown_points
     sets = with_combined_conditions(sets, m, stops)
     parts = [_observe_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
-    layout, ends = _layout(stops, sets), max(part.ends for part in parts)
+    rows, numbers = row_slices(sets), [find_kind(m.kind).numbers for m in sets]
+    counts = np.repeat(numbers, [len(m) for m in sets])
+    order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
+    # The count of numbers of all rows before each, in the order of the stops.
+    before = np.cumsum(counts[order]) - counts[order]
+    first[order] = before - before[np.searchsorted(stops.of[order], stops.of[order])]
+    own = [first[at, None] + np.arange(k) for at, k in zip(rows, numbers, strict=True)]
+    layout = Layout(stops, rows, [stops.of[at, None] for at in rows], own)
+    ends = max(part.ends for part in parts)
     S = _seam_jacobian(parts, layout, ends)
     seen, q = (np.concatenate([np.asarray(getattr(part, name)) for part in parts], axis=1) for name in ("seen", "q"))
     J, constants = layout.together([part.J for part in parts]), constants_of(robot, robot.torque_scale)
@@ -287,7 +283,12 @@ def observe(
         far,
         stops.most - 1,
     )
-    U, mean = _point_jacobian(identification, parts, layout)
+    U = np.zeros((*layout.shape, 3 * len(where)))
+    for part, poses, places in zip(parts, layout.poses, layout.places, strict=True):
+        for i in np.flatnonzero(part.point >= 0):
+            k = 3 * part.point[i]
+            U[poses[i], places[i], k : k + 3] = part.U[i]
+    root, mean = _point_prior(identification, where)
     return Observations(
         m=m,
         sets=sets,
@@ -295,7 +296,7 @@ def observe(
         layout=layout,
         r=layout.together([part.r for part in parts]),
         linear=linear,
-        U=U,
+        U=U @ root,
         mean=mean,
         measured=layout.together([part.measured for part in parts]) > 0,
         size=layout.together([part.size for part in parts]),
@@ -337,20 +338,6 @@ def _joint_jacobian(S: Array, ends: int, seams: int, joints: int) -> Array:
     """
     arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, :joints]
     return np.asarray(arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)))
-
-
-def _point_jacobian(
-    identification: Identification, parts: Sequence[_SetObservations], layout: Layout
-) -> tuple[Array, Array]:
-    """Return Jacobian and prior mean of the unknown points (U and mean of `Observations`)."""
-    where = identification.unknown_points
-    U = np.zeros((*layout.shape, 3 * len(where)))
-    for part, poses, places in zip(parts, layout.poses, layout.places, strict=True):
-        for i in np.flatnonzero(part.point >= 0):
-            k = 3 * part.point[i]
-            U[poses[i], places[i], k : k + 3] = part.U[i]
-    root, mean = _point_prior(identification, where)
-    return U @ root, mean
 
 
 def _by_stop(stops: Stops, numbers: Array) -> Array:

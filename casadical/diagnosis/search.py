@@ -18,7 +18,7 @@ from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import better_ar_form, with_noise_forms
+from casadical.diagnosis.noise_forms import RANDOM_LAG, better_ar_form, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
@@ -173,19 +173,19 @@ class State:
         The second item holds those of them that are not certain. A set may explain the data where
         no single cause does (see `cause_sets.most_probable_set`).
         """
+
+        def rank_sets(sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
+            effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
+            self.case.judged.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
+            return [self.rank(self.steps, also) for also in sets]
+
         return most_probable_set(
             self.rankings[-1],
-            self._rank_sets,
+            rank_sets,
             {c.label: c.variants for c in self.case.candidates},
             {c.label: self.twins(c.label) for c in self.case.candidates if c.listed},
             len(self.steps),
         )
-
-    def _rank_sets(self, sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
-        """Return, for each set of additional causes, the ranking given it and all steps."""
-        effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
-        self.case.judged.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
-        return [self.rank(self.steps, also) for also in sets]
 
     def ranked(self) -> State:
         """Return the state with the ranking given all its causes appended to `rankings`."""
@@ -235,9 +235,9 @@ class State:
         """Return the state with periodic joint errors and jumps of its residual as candidates."""
         case, columns = self.case, self.columns()
         noise = likely_noise(case.judged.log_base(columns), case.judged.sigmas)
-        lines, times = shown_by(case, columns, noise, case.form)
-        for time in times:
-            case = case.with_events_at(time)
+        lines, steps = shown_by(case, columns, noise, case.form)
+        for step in steps:
+            case = case.with_events_at(step.at)
         for joint, cycles in sorted(lines):
             ripple = TransmissionRipple(joint, cycles=cycles)
             if ripple.label in self.by_label and ripple not in case.columns:
@@ -268,11 +268,11 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
 
     Autocorrelated noise is fitted given the causes of each search, and causes are searched again
     under it, until neither changes or `Settings.max_form_searches` times. Fitted before any cause,
-    it would absorb the causes. For other measurements than one set of positions noise is white. The
-    arguments are those of `search`.
+    it would absorb the causes. For other measurements than one set of positions, a row a stop,
+    noise is white. The arguments are those of `search`.
     """
     state, end, p_nothing = search(case, seed, bootstrap, show)
-    if not case.observations.plain:
+    if not case.observations.plain or case.evidence.stop is not None:
         return state, end, p_nothing
 
     lone = False  # whether sets of causes are still to be searched
@@ -326,8 +326,9 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
         end, labels = next_cause(state, ranking, p_nothing)
-        # Several simultaneous causes can hide each other.
-        if sets and (end in ("unknown", "ambiguous") or len(labels) > 1):
+        # Several simultaneous causes can hide each other; sets wait for the noise of a lag.
+        hidden = sets and ranking.order[0] != RANDOM_LAG
+        if hidden and (end in ("unknown", "ambiguous") or len(labels) > 1):
             show("sets of causes")
             # A set may have two events of one kind.
             state = replace(state, case=state.case.with_events(2, {s.labels[0] for s in state.steps}))

@@ -10,12 +10,12 @@ noise in a single direction. Neighbouring poses are compared, too: in joint spac
 in the order of measuring.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from math import lgamma, log
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.settings import SETTINGS
-from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
@@ -86,17 +85,15 @@ def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = N
 
 def shown_by(
     case: Case, columns: Array, noise: Noise, form: Form
-) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
-    """Return periodic joint errors (lines) in the residual of a fit, and the times of its steps.
+) -> tuple[tuple[tuple[int, float], ...], Mapping[Any, str]]:
+    """Return periodic joint errors (lines) in the residual of a fit, and its steps.
 
     A line is a joint (1-based) and cycles per turn; a joint's best one comes with its aliases.
-    Times, two at most and 0 to 1 over the campaign, are those of significant steps by an event
-    (slip, jump) among the candidates. Up to 600 poses are tested, or the first 4000 under
-    autocorrelated noise. The arguments are those of `remainder_of`.
+    Steps are as of `events`. Up to 600 poses are tested, or the first 4000 under autocorrelated
+    noise. The arguments are those of `remainder_of`.
     """
-    kinds = {c.label: c.variants[0][0] for c in case.candidates if getattr(c.variants[0][0], "event", 0) == 1}
     residual = _WhitenedResidual(case, columns, noise, form)
-    return residual.lines(), residual.events(kinds)
+    return residual.lines(), residual.events()
 
 
 def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
@@ -184,11 +181,12 @@ class _WhitenedResidual:
         """Return the residual's degrees of freedom, from the scatter of the poses' squares.
 
         It is Satterthwaite's estimate, at most the count of measured numbers, reduced by the
-        fraction that the fit absorbs.
+        fraction that the fit absorbs; the poses of one stop count as one.
         """
         n, numbers = len(self.squares), self.e.count
         scatter = n * float((self.squares**2).sum()) / float(self.squares.sum()) ** 2 - 1
-        return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._absorbed / max(numbers, 1))
+        freedom = min(2 * n / max(scatter, 1e-9), numbers) / self.e.poses_per_stop
+        return freedom * (1 - self._absorbed / max(numbers, 1))
 
     def judged(self) -> Remainder:
         """Return up to three significant dependences on drivers, and if the rest is like noise."""
@@ -200,7 +198,7 @@ class _WhitenedResidual:
         # Of a joint's lines only the most significant one is reported.
         each = {s.line[0] if s.line else s.over: self._with_aliases(s, sure) for s in reversed(sure)}
         # The tails are Gaussian if the squares have 0.6 of the numbers' degrees of freedom.
-        tails = self.freedom >= 0.6 * (self.e.count - self._absorbed)
+        tails = self.freedom * self.e.poses_per_stop >= 0.6 * (self.e.count - self._absorbed)
         # At most three drivers are reported.
         return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
 
@@ -290,34 +288,61 @@ class _WhitenedResidual:
         """Return the number of lines of all joints that `_cycles` screens."""
         return sum(len(self._line_steps(j)) for j in self.case.robot.numbers)
 
-    def events(self, kinds: Mapping[str, Any]) -> tuple[float, ...]:
-        """Return the times (0 to 1) of up to two significant steps, the most significant first.
+    def events(self) -> Mapping[Any, str]:
+        """Return one or two significant steps by an event (slip, jump), each with its label.
 
-        Their poses are at least 0.05 apart.
-        kinds : events by label of their candidate. The sums over the poses behind each pose come
-        from one pass: a step's columns are those of an event before all poses, cut off there.
+        Two are tested together, too: a slip that another one takes back hardly shows alone.
         """
-        if not (kinds and self._has_residual):
-            return ()
-        time, n, chance = self.case.progress[self.at], len(self.squares), np.zeros(len(self.squares))
-        for label, event in kinds.items():
-            always: Effect = replace(event, at=-1.0)
-            case = self.case.with_variants(label, [(always,)])
-            G = self.rows(case.evidence.take(case.columns[always])[self._order[self.pick]])
-            G = G[:, np.any(G, axis=0)].reshape(n, -1, np.count_nonzero(np.any(G, axis=0)))
-            sums = (G.transpose(0, 2, 1) @ G, G.transpose(0, 2, 1) @ self.y.reshape(n, -1, 1))
-            absorbed = self._Q.reshape(n, -1, self._Q.shape[1]).transpose(0, 2, 1) @ G
-            normal, right, absorbed = (np.cumsum(s[::-1], axis=0)[::-1] for s in (*sums, absorbed))
-            shares = self._explained(normal - absorbed.transpose(0, 2, 1) @ absorbed, right[:, :, 0])
-            own = [log_chance_of(share, k, self.freedom) for share, k in shares]
-            chance = np.minimum(chance, own)
-        chance[0] = 0.0
-        times, least = list[float](), log(SETTINGS.max_structure_chance / (n * len(kinds)))
-        for _ in range(2):
-            if chance[best := int(np.argmin(chance))] < least:
-                times.append(float(time[best - 1 : best + 1].mean()))
-                chance[np.abs(time - time[best]) < 0.05] = 0.0
-        return tuple(times)
+        kinds = {
+            cast(Any, replace)(event, at=-1.0): c.label
+            for c in self.case.candidates
+            for variant in c.variants
+            for event in variant
+            if getattr(event, "event", 0) == 1
+        }
+        time, n = self.case.progress[self.at], len(self.squares)
+        if n < 4 or not (kinds and self._has_residual):
+            return {}
+        between, every = (time[1:] + time[:-1]) / 2, np.arange(1, n)
+        # Pairs are compared at 30 poses, and the best one is moved pose by pose.
+        coarse = np.unique(np.linspace(1, n - 1, 30).round().astype(int))
+        pairs = coarse[np.array(np.triu_indices(len(coarse), 1))]
+        least, shown = log(SETTINGS.max_structure_chance / len(kinds)), tuple[Any, ...]()
+        for event, label in kinds.items():
+            chances = self._chances_of_steps(event, label)
+            first, second = pairs[:, np.argmin(chances(*pairs))]
+            first = every[np.argmin(chances(every[: second - 1], np.full(second - 1, second)))]
+            later = every[first:]
+            single, double = chances(every), chances(np.full(len(later), first), later)
+            for chance, starts in (
+                (single.min() + log(n), (np.argmin(single) + 1,)),
+                (double.min() + 2 * log(n), (first, later[np.argmin(double)])),
+            ):
+                if chance < least:
+                    least = chance
+                    shown = tuple(replace(event, at=float(between[k - 1])) for k in starts)
+        return {step: kinds[replace(step, at=-1.0)] for step in shown}
+
+    def _chances_of_steps(self, event: Any, label: str) -> Callable[..., Array]:
+        """Return a function of the poses where steps begin: their log chances, shape (trials,).
+
+        A step's columns are those of an event before all poses, cut off there.
+        """
+        n, case = len(self.squares), self.case.with_variants(label, [(event,)])
+        G = self.rows(case.evidence.take(case.columns[event])[self._order[self.pick]])
+        G = G.reshape(n, -1, G.shape[1])
+        sums = (G.transpose(0, 2, 1) @ G, G.transpose(0, 2, 1) @ self.y.reshape(n, -1, 1))
+        absorbed = self._Q.reshape(n, -1, self._Q.shape[1]).transpose(0, 2, 1) @ G
+        normal, right, absorbed = (np.cumsum(s[::-1], axis=0)[::-1] for s in (*sums, absorbed))
+
+        def chances(*starts: Array) -> Array:
+            fit = np.concatenate([absorbed[k] for k in starts], axis=2)
+            both = np.block([[normal[np.maximum(a, b)] for b in starts] for a in starts])
+            both -= fit.transpose(0, 2, 1) @ fit
+            shares = self._explained(both, np.concatenate([right[a, :, 0] for a in starts], axis=1))
+            return np.array([log_chance_of(share, k, self.freedom) for share, k in shares])
+
+        return chances
 
     @property
     def _has_residual(self) -> bool:
@@ -390,14 +415,17 @@ class _WhitenedResidual:
         """
         from scipy.special import log_ndtr
 
-        y = self.y.reshape(len(self.squares), -1)
-        q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
+        # Poses of one stop are no neighbours: they share how the joints repeat there.
+        stop = np.arange(len(self.squares)) if self.e.stop is None else self.e.stop
+        one = np.sort(np.unique(stop, return_index=True)[1])
+        y, q = self.y.reshape(len(self.squares), -1)[one], self.case.m.q[self.at][one]
+        q = np.concatenate([np.sin(q), np.cos(q)], axis=1)
         pairs = {
             "poses that are near in joint space": _pairs(_nearest(q)),
             PREVIOUS_POSE: np.column_stack([np.arange(len(y) - 1), np.arange(1, len(y))]),
         }
         if self.case.vectors is not None:
-            pairs["poses whose points are near"] = _pairs(_nearest(self._places[self.pick]))
+            pairs["poses whose points are near"] = _pairs(_nearest(self._places[self.pick][one]))
         for over, both in pairs.items():
             alike = float((y[both[:, 0]] * y[both[:, 1]]).sum() / (y[both] ** 2).sum() * 2)
             z = alike * np.sqrt(len(both) * self.freedom / len(y))
@@ -442,7 +470,8 @@ class _WhitenedResidual:
         for axes in self._frames.values():
             turned = np.einsum("nij,ni->nj", axes[:, :3], y)
             value = np.linalg.eigvalsh(turned.T @ turned / n)
-            square = -(n - 1 - 17 / 18) * float(np.log(max(value.prod(), 1e-300) / value.mean() ** 3))
+            ratio = max(value.prod(), 1e-300) / value.mean() ** 3
+            square = -(n / self.e.poses_per_stop - 1 - 17 / 18) * float(np.log(ratio))
             # Chi-square tail with six instead of five degrees of freedom, which has a closed form.
             chances.append(-square / 2 + np.log1p(square / 2 + square**2 / 8))
         # Mauchly's test of isotropy at a level of 0.01 %

@@ -83,17 +83,20 @@ def _rounds(a: Array, b: Array) -> bool:
 def _rigid(a: Array, b: Array) -> bool:
     """Return whether two points, shape (n, 3), keep their distance while its direction turns.
 
-    Points that are equal within noise count, too.
+    Points that are equal within noise count, too. Rows with gross errors (zeros where nothing was
+    seen) do not.
     """
     whole = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     way = (a - b)[whole]
     if len(way) < 4:
         return False
-    length, size = np.linalg.norm(way, axis=1), float(np.std(a[whole], axis=0).max())
+    length = np.linalg.norm(way, axis=1)
+    size = 1.5 * float(np.median(np.abs(a[whole] - np.median(a[whole], axis=0)), axis=0).max())
     scatter = float(np.median(np.abs(length - np.median(length))))
     # Tolerances as shares of the positions' spread: a flange of 1 m of travel is rigid to 2 mm.
     if np.median(length) < 1e-3 * size:
         return float(np.std(b[whole], axis=0).max()) > 0
+    way = way[np.abs(length - np.median(length)) < 0.05 * np.median(length)]
     values = np.linalg.eigvalsh(way.T @ way)
     return scatter < 2e-3 * size and scatter < 0.05 * np.median(length) and values[-1] < 0.95 * values.sum()
 

@@ -66,7 +66,7 @@ def _sizes(c: Candidate) -> str:
     for effect in {type(v[0]): v[0] for v in c.variants}.values():
         for name, (size, unit) in effect.sizes().items():
             factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE[unit]
-            by_size.setdefault(f"{size * factor:.3g} {word}", []).append(re.sub(r"(?<=[kxyz])\d$", "", name))
+            by_size.setdefault(f"{size * factor:.3g} {word}", []).append(re.sub(r"(?<=[kxyzp])\d$", "", name))
     groups = [(list(dict.fromkeys(names)), size) for size, names in by_size.items()]
     few = [f"{_short(names)}: {size}" for names, size in groups]
     return "; ".join(few if len(few) <= MOST else [few[0], f"falling to {groups[-1][1]} with {groups[-1][0][-1]}"])

@@ -280,4 +280,5 @@ def test_isotropy_is_judged_by_mauchlys_test_at_a_ten_thousandth(square: float, 
     whole = np.sqrt(300) * np.linalg.qr(np.random.default_rng(0).normal(size=(300, 3)))[0]
     y, frames = whole * [1.0, 1.0, np.sqrt(c)], {"x, y, z": np.tile(np.eye(3), (300, 1, 1))}
     residual = SimpleNamespace(squares=y**2, y=y, _frames=frames, _form=SimpleNamespace(ar_coefficient=0.0))
+    residual.e = SimpleNamespace(poses_per_stop=1.0)
     assert _WhitenedResidual._isotropic(residual) is isotropic

@@ -8,7 +8,7 @@ that of the linear model that judges all causes, averaged over the settings, the
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -203,7 +203,14 @@ class LawProblem:
     def judged(self, candidates: Sequence[LawCandidate]) -> list[ScoredLaw]:
         """Return each candidate with the best settings of its grid."""
         laws: list[ScoredLaw] = []
-        for some in _batches(candidates):
+        # Batches have candidates with equal numbers of columns, of about 60 MB of columns each.
+        size, batches = dict[int, int](), dict[tuple[int, int], list[LawCandidate]]()
+        for c in candidates:
+            width = len(c.function.form.parts) * c.unit.shape[2]
+            numbers = width * c.unit[..., 0].size * len(c.function.settings)
+            size[width] = size.get(width, 0) + 8 * numbers
+            batches.setdefault((width, size[width] // 60_000_000), []).append(c)
+        for some in batches.values():
             logs, grids = self.grids(np.concatenate([c.columns() for c in some], axis=2))
             edges = np.cumsum([0, *(len(c.function.settings) for c in some)])
             for c, first, end in zip(some, edges[:-1], edges[1:], strict=True):
@@ -247,17 +254,6 @@ class LawProblem:
             own = moved / np.sqrt(np.maximum(2 * fallen, 1.0))
             sigmas = np.where(np.isnan(sigmas) | (fallen > 0.5), own, sigmas)
         return replace(found, errors=sigmas)
-
-
-def _batches(candidates: Sequence[LawCandidate]) -> Iterator[list[LawCandidate]]:
-    """Yield batches of candidates with equal numbers of columns, of about 60 MB of columns each."""
-    by_width: dict[int, list[LawCandidate]] = {}
-    for c in candidates:
-        by_width.setdefault(len(c.function.form.parts) * c.unit.shape[2], []).append(c)
-    for width, every in by_width.items():
-        ends = np.cumsum([8 * width * c.unit[..., 0].size * len(c.function.settings) for c in every])
-        for part in np.unique(ends // 60_000_000):
-            yield [c for c, end in zip(every, ends, strict=True) if end // 60_000_000 == part]
 
 
 @dataclass(frozen=True, eq=False)
