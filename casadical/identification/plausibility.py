@@ -102,10 +102,8 @@ def _refuse_payload(robot: Robot, m: Measurements) -> None:
     links = sum(joint.body.mass for joint in robot.joints if joint.body)
     loads = m.conditions.get("payload_kg", np.zeros(1))
     if links and robot.masses == "declared" and loads.max() > MAX_PAYLOAD_OF_ARM_MASS * links:
-        value, allowed = (
-            f"{loads.max():.6g} kg",
-            f"up to {MAX_PAYLOAD_OF_ARM_MASS * links:.6g}, of an arm of {links:.6g} kg",
-        )
+        value = f"{loads.max():.6g} kg"
+        allowed = f"up to {MAX_PAYLOAD_OF_ARM_MASS * links:.6g}, of an arm of {links:.6g} kg"
         rows = tuple(map(int, m.row[loads > MAX_PAYLOAD_OF_ARM_MASS * links]))
         raise FaultsError(
             [Fault(m.source, rows, "payload_kg", value, "is too heavy", allowed, "are these grams? give kg")]

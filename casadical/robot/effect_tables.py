@@ -277,24 +277,19 @@ def large_covariances(knowledge: Knowledge | None, reproducible: bool) -> bytes:
 
     reproducible : as of `to_toml`
     """
-    blocks = [block for block in (knowledge or Knowledge()).covariance if len(block.names) > MAX_BLOCK_PARAMETERS]
+    triangles: dict[str, Array] = {}
+    for block in (knowledge or Knowledge()).covariance:
+        if len(block.names) > MAX_BLOCK_PARAMETERS:
+            sizes, digits = _sizes_and_digits(block)
+            C = block.matrix
+            if reproducible and digits < COVARIANCE_DIGITS:
+                unit = 10.0 ** (digits - np.floor(np.log10(np.where(sizes > 0, sizes, 1.0))))
+                C = np.rint(C * unit) / unit
+            triangles[block.names[0]] = C[np.tril_indices(len(C))]
     stream = io.BytesIO()
-    if blocks:
-        np.savez(stream, **{block.names[0]: _rounded(block, reproducible) for block in blocks})  # type: ignore[arg-type]
+    if triangles:
+        np.savez(stream, **triangles)  # type: ignore[arg-type]
     return stream.getvalue()
-
-
-def _rounded(block: Covariance, reproducible: bool) -> Array:
-    """Return the lower triangle of a covariance as an NPZ file has it, shape (k (k + 1) / 2,) [SI].
-
-    reproducible : as of `to_toml`
-    """
-    sizes, digits = _sizes_and_digits(block)
-    C, lower = block.matrix, np.tril_indices(len(block.names))
-    if reproducible and digits < COVARIANCE_DIGITS:
-        unit = 10.0 ** (digits - np.floor(np.log10(np.where(sizes > 0, sizes, 1.0))))
-        C = np.rint(C * unit) / unit
-    return np.asarray(C[lower])
 
 
 def _triangle(block: Covariance, reproducible: bool) -> Iterator[list[float]]:

@@ -237,7 +237,7 @@ def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
     else:
         anchors, way = _SIDES[mark.side]
         number = "" if mark.panel == 0 else str(mark.panel + 1)
-        refs = {"xref": f"x{number}", "yref": f"y{number}"}
+        refs: dict[str, Any] = {"xref": f"x{number}", "yref": f"y{number}"}
         refs |= {axis + "ref": f"{axis}{number} domain" for axis in "xy" if axis in mark.frame}
         x, y = (
             log10(value) if getattr(figure, axis).log and axis not in mark.frame else value
