@@ -171,24 +171,16 @@ class Subject:
         return replace(plant, gravity=now @ before.T @ plant.gravity)
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
-    """A measuring session, and the same session with fewer effects.
-
-    hidden : hidden effects of the session
-    session : table with all effects; its columns are those of a campaign
-    clean : table without any effect, with the same seed, poses and noise
-    alone : table with each effect by itself, if there are several; else empty
-    """
-
-    hidden: tuple[Hidden, ...]
-    session: pd.DataFrame
-    clean: pd.DataFrame
-    alone: tuple[pd.DataFrame, ...]
+# Hidden effects of a session, its table, that without effects, and those of single effects.
+Record = tuple[tuple[Hidden, ...], pd.DataFrame, pd.DataFrame, list[pd.DataFrame]]
 
 
 def record(subject: Subject, plan: Plan) -> Record:
-    """Return the simulated session of a plan, with, without and with single ones of its effects."""
+    """Return a plan's hidden effects and its simulated sessions, of the same seed, poses and noise.
+
+    The sessions are tables with the columns of a campaign; those of single effects are left out
+    where there are not several.
+    """
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
     options: dict[str, Any] = {"approach": "motion"}
@@ -212,12 +204,8 @@ def record(subject: Subject, plan: Plan) -> Record:
         """Return the table of the session with these effects alone."""
         return campaign(plant, acting, plan.poses, seed, **options)
 
-    return Record(
-        hidden=hidden,
-        session=session(*hidden),
-        clean=session(),
-        alone=tuple(session(each) for each in hidden) if len(hidden) > 1 else (),
-    )
+    single = [session(each) for each in hidden] if len(hidden) > 1 else []
+    return hidden, session(*hidden), session(), single
 
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
@@ -351,38 +339,30 @@ def campaign_of(subject: Subject, plan: Plan) -> tuple[str, str, protocol.Secret
     for retry in range(6):
         plan = replace(plan, seed=plan.seed + min(retry, 1))
         try:
-            recorded = record(subject, plan)
+            hidden, recorded, clean, single = record(subject, plan)
             break
         except ConvergenceError:
             if retry == 5:
                 raise
-    struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMN_PREFIXES[word])]
-    table = recorded.session.drop(columns=struck).to_csv(index=False)
-    return plan.name, table, _secret(plan, recorded, subject.model)
-
-
-def _secret(plan: Plan, recorded: Record, model: str) -> protocol.Secret:
-    """Return what a campaign hides, with the visible size of each effect.
-
-    model : text of the nominal robot's file
-    """
-    robot = nominal(model)
-    clean = from_table(recorded.clean, [j.kind for j in robot.joints], "position")
-    J = base_jacobian(robot, clean)
+    prefixes = tuple(COLUMN_PREFIXES[word] for word in plan.not_logged)
+    struck = [c for c in recorded if str(c).startswith(prefixes)]
+    text = recorded.drop(columns=struck).to_csv(index=False)
+    robot = nominal(subject.model)
+    J = base_jacobian(robot, from_table(clean, [j.kind for j in robot.joints], "position"))
 
     def seen(table: pd.DataFrame) -> float:
         """Return the visible size [m] of the effects in a table; see `unabsorbed_rms`."""
-        shift = table[MEASURED_COLUMNS].to_numpy(float) - recorded.clean[MEASURED_COLUMNS].to_numpy(float)
+        shift = table[MEASURED_COLUMNS].to_numpy(float) - clean[MEASURED_COLUMNS].to_numpy(float)
         return round(unabsorbed_rms(J, 1e-3 * shift), 9)
 
-    together = seen(recorded.session)
-    alone = [seen(t) for t in recorded.alone] or [together] * len(recorded.hidden)
-    return protocol.Secret(
+    together = seen(recorded)
+    alone = [seen(t) for t in single] or [together] * len(hidden)
+    secret = protocol.Secret(
         robot=plan.robot,
         kind=plan.kind,
         hidden=tuple(
             protocol.HiddenEffect(effect=a.effect, joint=a.joint, about=a.about, visible=v)
-            for a, v in zip(recorded.hidden, alone, strict=True)
+            for a, v in zip(hidden, alone, strict=True)
         ),
         poses=plan.poses,
         missing=plan.missing,
@@ -390,3 +370,4 @@ def _secret(plan: Plan, recorded: Record, model: str) -> protocol.Secret:
         repeatability=plan.repeatability,
         visible=together,
     )
+    return plan.name, text, secret

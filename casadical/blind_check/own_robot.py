@@ -86,11 +86,53 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
     if "payload" not in taken:
         both = "no payload and {:g} kg in turns, or the latter alone where it is not logged"
         assumed.append(both.format(robot.payload.mass) if robot.payload else "no payload, for the file has none")
-    nominal = _drawing(weighed)
-    stiffness, words = _stiffness(weighed, nominal)
-    nominal = replace(nominal, stiffness=stiffness)
+    joints, bar = weighed.joints, weighed.loops[0] if weighed.loops else None
+    gravity = np.asarray(weighed.gravity, float)
+    if weighed.gravity_frame == "base":
+        gravity = weighed.base.T[:3, :3] @ gravity
+    nominal = Plant(
+        name=weighed.name,
+        home=home_frames([(j.alpha, j.a, j.beta or 0.0, j.b or 0.0, j.theta, j.d) for j in joints]),
+        reflector=weighed.tool.T[:3, 3].copy(),
+        mass=np.array([j.body.mass if j.body else 0.0 for j in joints]),
+        com=np.array([j.body.com if j.body else np.zeros(3) for j in joints]),
+        payload_kg=weighed.payload.mass if weighed.payload else 0.0,
+        payload_com=weighed.payload.com if weighed.payload else np.zeros(3),
+        stiffness=np.ones(weighed.n),
+        ranges=np.array([[j.lower, j.upper] for j in joints]),
+        base=weighed.base.T,
+        four_bar=None
+        if bar is None
+        else FourBar(
+            bar.crank,
+            bar.coupler,
+            bar.rocker,
+            crank_zero_rad=joints[bar.driven - 1].theta - joints[bar.carrier - 1].theta,
+            passive_offset_rad=bar.offset - joints[bar.driven - 1].theta,
+            driven=bar.driven,
+        ),
+        slides=frozenset(int(i) for i in np.flatnonzero(~_turns(weighed)) + 1),
+        gravity=gravity,
+    )
+    given = [joint.compliance for joint in weighed.joints]
+    # Simulated deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
+    deflection_unknown_stiffness = 3e-4
+    # Simulated deflection at the rated torque of a joint that is rigid in the file [rad or m].
+    deflection_rigid = 2e-6
+    values = [
+        1 / c if c else torque / (deflection_rigid if c is None else deflection_unknown_stiffness)
+        for c, torque in zip(given, rated_torque(nominal), strict=True)
+    ]
+    for compliance, word, size in (
+        (0.0, "no stiffness", deflection_unknown_stiffness),
+        (None, "rigid", deflection_rigid),
+    ):
+        if numbers := [str(i) for i, c in enumerate(given, 1) if c == compliance]:
+            words = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
+            assumed.append(f"joint {', '.join(numbers)}: {words}")
+    nominal = replace(nominal, stiffness=np.array(values))
     level = robot.gravity_frame != "base"
-    return Subject(nominal, to_toml(robot), building, level, table), (*assumed, *words)
+    return Subject(nominal, to_toml(robot), building, level, table), tuple(assumed)
 
 
 def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:
@@ -131,64 +173,6 @@ def _refuse(robot: Robot) -> None:
 def _turns(robot: Robot) -> Array:
     """Return a mask of the revolute joints, shape (joints,)."""
     return np.array([j.kind == "revolute" for j in robot.joints])
-
-
-def _drawing(robot: Robot) -> Plant:
-    """Return a nominal robot for the physics, which computes the kinematics itself.
-
-    Its stiffnesses are one; see `_stiffness`.
-    """
-    joints, bar = robot.joints, robot.loops[0] if robot.loops else None
-    gravity = robot.gravity if robot.gravity_frame != "base" else robot.base.T[:3, :3] @ robot.gravity
-    return Plant(
-        name=robot.name,
-        home=home_frames([(j.alpha, j.a, j.beta or 0.0, j.b or 0.0, j.theta, j.d) for j in joints]),
-        reflector=robot.tool.T[:3, 3].copy(),
-        mass=np.array([j.body.mass if j.body else 0.0 for j in joints]),
-        com=np.array([j.body.com if j.body else np.zeros(3) for j in joints]),
-        payload_kg=robot.payload.mass if robot.payload else 0.0,
-        payload_com=robot.payload.com if robot.payload else np.zeros(3),
-        stiffness=np.ones(robot.n),
-        ranges=np.array([[j.lower, j.upper] for j in joints]),
-        base=robot.base.T,
-        four_bar=None
-        if bar is None
-        else FourBar(
-            bar.crank,
-            bar.coupler,
-            bar.rocker,
-            crank_zero_rad=joints[bar.driven - 1].theta - joints[bar.carrier - 1].theta,
-            passive_offset_rad=bar.offset - joints[bar.driven - 1].theta,
-            driven=bar.driven,
-        ),
-        slides=frozenset(int(i) for i in np.flatnonzero(~_turns(robot)) + 1),
-        gravity=np.asarray(gravity, float),
-    )
-
-
-def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
-    """Return the stiffness of every joint, shape (joints,) [N m/rad or N/m], and assumptions.
-
-    nominal : the robot for the physics, by which rated torques are computed
-    """
-    given = [joint.compliance for joint in robot.joints]
-    # Simulated deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
-    deflection_unknown_stiffness = 3e-4
-    # Simulated deflection at the rated torque of a joint that is rigid in the file [rad or m].
-    deflection_rigid = 2e-6
-    values = [
-        1 / c if c else torque / (deflection_rigid if c is None else deflection_unknown_stiffness)
-        for c, torque in zip(given, rated_torque(nominal), strict=True)
-    ]
-    assumed = []
-    for compliance, word, size in (
-        (0.0, "no stiffness", deflection_unknown_stiffness),
-        (None, "rigid", deflection_rigid),
-    ):
-        if numbers := [str(i) for i, c in enumerate(given, 1) if c == compliance]:
-            words = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
-            assumed.append(f"joint {', '.join(numbers)}: {words}")
-    return np.array(values), assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,10 +302,7 @@ def _named(effect: str, t: Outcome) -> bool:
 
 
 def _row(effect: str, part: Sequence[Outcome]) -> list[str]:
-    """Return the table's row of an effect: name, times noticed and named, interval, median signal.
-
-    part : outcomes of campaigns that hide it
-    """
+    """Return the table's row of an effect: name, times noticed and named, interval, signal."""
     noticed, signal = f"{sum(t.detected for t in part)} of {len(part)}", f"{median(t.signal for t in part):.2g}"
     if effect in UNLISTED:
         return [f"{effect} (on no list)".replace("_", " "), noticed, "-", "-", signal]

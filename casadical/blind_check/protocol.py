@@ -306,7 +306,6 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
 def _read(schema: Any, text: bytes, place: str, remedy: str) -> Any:
     """Return a line of JSON as an instance of a schema.
 
-    place, remedy : begin and end of the error message
     Raises InputError.
     """
     try:

@@ -237,8 +237,8 @@ class Score(Result):
             "made": {"seed": self.key.seed, "reality": self.key.reality, "versions": self.key.versions},
             "campaigns": len(self.outcomes),
             "unanswered": self.unanswered,
-            "figures": {name: {**_plain(e), "target": aim} for name, (e, aim) in self.metrics.items()},
-            "trials": [{k: _short(v) for k, v in t.__dict__.items()} for t in self.outcomes],
+            "figures": {name: {**_short(e.__dict__), "target": aim} for name, (e, aim) in self.metrics.items()},
+            "trials": [_short(t.__dict__) for t in self.outcomes],
         }
 
 
@@ -262,13 +262,10 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     return Score(head, opened, outcomes)
 
 
-def _plain(f: Estimate) -> dict[str, Any]:
-    """Return the fields of an estimate by name, rounded by `_short`."""
-    return {k: _short(v) for k, v in f.__dict__.items()}
-
-
 def _short(value: Any) -> Any:
     """Return plain data with floats rounded to six significant digits."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _short(entry) for key, entry in value.items()}
     return [_short(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value

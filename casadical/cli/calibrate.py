@@ -6,19 +6,7 @@ from typing import Any
 from typer import Exit, Option, echo
 
 from casadical.cli import options as o
-from casadical.cli.terminal import (
-    CHECK,
-    EXIT_BAD_INPUT,
-    EXIT_WORSE,
-    html,
-    importing,
-    save,
-    suggest,
-    tell,
-    with_json,
-    working,
-    wrapped,
-)
+from casadical.cli import terminal as t
 from casadical.core.basics import InputError, shown
 
 
@@ -31,11 +19,7 @@ def check(
         help="Noise of a measured coordinate, one sigma, for the forecast; default: estimated from the data.",
     ),
     strict: bool = Option(False, "--strict", help="Exit with code 2 on warnings too."),
-    repair: bool = Option(
-        False,
-        "--repair",
-        help="Write the best repair of slips into problem.toml (columns) and the robot file.",
-    ),
+    repair: bool = Option(False, "--repair", help="Write the best repair of slips into the files."),
     details: o.Details = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
@@ -54,13 +38,13 @@ def check(
     from casadical.project.check.check import precheck
     from casadical.project.check.repair import not_repaired, repaired
 
-    console = wrapped(quiet)
+    console = t.wrapped(quiet)
     checks = []
     for name, (folder, tables) in o.problems_of(problems).items():
         noise = None if noise_mm is None else 1e-3 * noise_mm
         if repair and tables:
             raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
-        with working(quiet, "reading", name, CHECK) as show:
+        with t.working(quiet, "reading", name, t.CHECK) as show:
             checks.append(precheck(folder, noise, show=show, tables=tables))
         # Up to three repairs in a row: a slip may hide another one, or a target.
         for _ in range(3 if repair else 0):
@@ -69,17 +53,17 @@ def check(
                 console.print(not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow")
                 break
             console.print(text, markup=False, highlight=False, soft_wrap=True)
-            with working(quiet, "reading again", name, CHECK) as show:
+            with t.working(quiet, "reading again", name, t.CHECK) as show:
                 checks[-1] = precheck(folder, noise, show=show)
-        tell(console, *checks[-1].blocks() if details else checks[-1].brief())
+        t.tell(console, *checks[-1].blocks() if details else checks[-1].brief())
         console.print()
-    save(with_json({}, json_file, [f.to_json() for f in checks]), console)
+    t.save(t.with_json({}, json_file, [f.to_json() for f in checks]), console)
     if quiet:
         for f in checks:
             for finding in f.of_level("error"):
                 echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
     if not all(f.ok and not (strict and f.of_level("warning")) for f in checks):
-        raise Exit(EXIT_BAD_INPUT)
+        raise Exit(t.EXIT_BAD_INPUT)
 
 
 def calibrate(
@@ -131,28 +115,19 @@ def calibrate(
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before
     (nothing is written then), 70 a bug in casadical.
     """
-    with importing():
+    with t.importing():
         from casadical.project import calibration as work
 
-    console = wrapped(quiet)
+    console = t.wrapped(quiet)
     carried = o.carried_prior(prior, prior_effects, frozen)
+    asked: dict[str, Any] = {"method": method, "loss": loss, "seed": seed, "carried": carried}
     done: list[work.Calibration] = []
     texts: dict[Path, Any] = {}
     given = o.problems_of(problems)
     for name, (source, tables) in given.items():
-        with working(quiet, "reading", name) as show:
-            done.append(
-                work.calibrate(
-                    source,
-                    method=method,
-                    loss=loss,
-                    seed=seed,
-                    carried=carried,
-                    tables=tables,
-                    show=show,
-                )
-            )
-        tell(console, *done[-1].blocks() if details else done[-1].brief())
+        with t.working(quiet, "reading", name) as show:
+            done.append(work.calibrate(source, tables=tables, show=show, **asked))
+        t.tell(console, *done[-1].blocks() if details else done[-1].brief())
         if len(given) == 1 or len(done) < len(given) or out:
             console.print()
         if out:
@@ -160,24 +135,18 @@ def calibrate(
     worse = [f"{name}: {c.worse}" for name, c in zip(given, done, strict=True) if c.worse]
     if worse:
         echo("casadical: nothing was written: " + "\n".join(worse), err=True)
-        raise Exit(EXIT_WORSE)
+        raise Exit(t.EXIT_WORSE)
     if json_file:
         figures = {name: c.to_json() for name, c in zip(given, done, strict=True)}
-        texts = with_json(texts, json_file, figures if len(figures) > 1 else [*figures.values()])
+        texts = t.with_json(texts, json_file, figures if len(figures) > 1 else [*figures.values()])
     if report_file:
-        with working(quiet, "writing the report"):
-            texts[report_file] = html([c.page() for c in done])
-    save(texts, console)
+        with t.working(quiet, "writing the report"):
+            texts[report_file] = t.html([c.page() for c in done])
+    t.save(texts, console)
     for source, tables in given.values() if len(given) == 1 else ():
-        tell(console, done[0].next_command(source, tables, written=bool(out)))
+        t.tell(console, done[0].next_command(source, tables, written=bool(out)))
     if len(given) > 1:
-        suggest(
-            console,
-            "to diagnose and compare them all",
-            "fleet",
-            *problems,
-            "--store",
-            "fleet.parquet",
-        )
+        when = "to diagnose and compare them all"
+        t.suggest(console, when, "fleet", *problems, "--store", "fleet.parquet")
     if not details and len(given) == 1:
         console.print("all parameters and figures: --details, --out DIR or --report FILE.html", style="dim")

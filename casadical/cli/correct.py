@@ -49,19 +49,13 @@ def correct(
     payload: o.Payload = None,
     tool: str | None = Option(None, metavar="shared|own", help="As in `casadical export c`; default: shared."),
     leave_out: o.LeaveOut = False,
-    trust: bool = Option(
-        False,
-        "--trust",
-        help="Compile and run the C of a folder that you did not export on this machine.",
-    ),
+    trust: bool = Option(False, "--trust", help="Compile and run a folder's C from elsewhere."),
     tcp: Frames = None,
     base: Frames = None,
     root: Pose = None,
     flange: Pose = None,
     data: list[Path] | None = Option(
-        None,
-        metavar="FILE",
-        help="Another file of the program, with tools and bases. Repeat it for others.",
+        None, metavar="FILE", help="Another file of the program, with tools and bases; repeatable."
     ),
     nearest: bool = Option(
         False,
@@ -77,9 +71,7 @@ def correct(
         help="Leave poses that the nominal robot does not reach, and correct the others; for right frames only.",
     ),
     accuracy_off: bool = Option(
-        False,
-        "--accuracy-off",
-        help="The controller's own absolute accuracy has been switched off.",
+        False, "--accuracy-off", help="The controller's own absolute accuracy is switched off."
     ),
     overwrite: o.Overwrite = False,
     details: o.Details = False,
@@ -140,12 +132,5 @@ def correct(
     if model.is_file():
         suggest_later(console, model)
     else:
-        suggest(
-            console,
-            "for the next program",
-            "correct",
-            model,
-            "next.csv",
-            "--out",
-            "next-corrected.csv",
-        )
+        command = ("correct", model, "next.csv", "--out", "next-corrected.csv")
+        suggest(console, "for the next program", *command)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from casadical.core.reporting.result import shortened
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign
+    from casadical.project.diagnosis import CampaignDiagnosis
 
 
 # Kind of tables -> names of the parameters that are allowed for it alone.
@@ -70,18 +69,11 @@ def diagnose(
     prior_effects: o.PriorEffects = None,
     frozen: o.Frozen = False,
     measure_next: Path | None = Option(
-        None,
-        "--next",
-        metavar="FILE",
-        help="Write poses that distinguish the leading causes, as CSV.",
+        None, "--next", metavar="FILE", help="Write poses that distinguish leading causes, as CSV."
     ),
     next_n: int = Option(15, min=1, max=1000, help="How many of these poses."),
     room: o.Room = None,
-    network: bool = Option(
-        False,
-        "--network",
-        help="Also train a 6-5-3 network, instead of the causes and after them (slow).",
-    ),
+    network: bool = Option(False, "--network", help="Also train a 6-5-3 network (slow)."),
     bootstrap: int = Option(
         0,
         min=0,
@@ -97,11 +89,7 @@ def diagnose(
         "takes a robot file; diagnosis.json and diagnosis.txt. With several campaigns, a "
         "folder for each.",
     ),
-    unlisted: bool = Option(
-        False,
-        "--unlisted",
-        help="With --out: also have the description of an unknown cause in the robot's model.",
-    ),
+    unlisted: bool = Option(False, "--unlisted", help="With --out: describe an unknown cause."),
     report_file: o.Report = None,
     json_file: o.Json = None,
     details: o.Details = False,
@@ -123,34 +111,56 @@ def diagnose(
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODE_OPTIONS)
+    console = wrapped(quiet)
+    texts: dict[Path, str | bytes] = {}
     if logs:
-        _diagnose_logs(logs, against or [], out, report_file, json_file, quiet, details)
+        with working(quiet, "diagnosing", f"{len(logs.logs)} logs") as show:
+            found = logs.diagnosed(show)
+        with working(quiet, "replaying") as show:
+            replay = logs.replayed(show, against or [])
+        # How large the gap is and what makes it comes before what a usual arm would have; tables end.
+        printed: list[Block] = []
+        lines_found = 22 if not replay else 1 if found.named else 3
+        for result, n_lines in ((replay, 20), (found, lines_found)):
+            if result:
+                blocks = result.blocks()
+                printed += blocks if details else shortened(blocks, n_lines)
+                if out:
+                    texts |= result.files(out)
+        if not details:
+            printed.sort(key=lambda block: isinstance(block, Table))
+        tell(console, *printed)
+        console.print()
+        if report_file:
+            texts[report_file] = html([logs.page(found, replay)])
+        if not details:
+            more_by = "--details, --out DIR or --report FILE.html"
+            console.print(f"residuals, causes and what the log lacks: {more_by}", style="dim")
+        more = {"replay": replay.to_json()} if replay else {}
+        figures = [found.to_json() | more] if json_file else []
+        save(with_json(texts, json_file, figures), console)
+        robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
+        if robot:
+            command = ("export", "model", robot, "--out", "arm.xml")
+            suggest(console, "to have it as a model that moves", *command)
+        elif out is None and found.verdict not in ("ambiguous", "unknown"):
+            suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
-    console = wrapped(quiet)
     given = read_campaigns(problem, campaigns, o.carried_prior(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, fixed at their values: {given[0].own_effects}.")
-    options = Options(
-        effects_named(effects),
-        seed,
-        bootstrap,
-        "nuisance" if nuisance_masses else "candidate",
-        laws,
-    )
+    chosen = effects_named(effects)
+    options = Options(chosen, seed, bootstrap, "nuisance" if nuisance_masses else "candidate", laws)
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
-    texts: dict[Path, str | bytes] = {}
     for campaign in given:
         workspace = room and read_workspace(room, campaign.robot)
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
+            name = file.name if file else ""
             answer = diagnose_campaign(campaign, options, show).analysed(
-                poses=next_n,
-                workspace=workspace,
-                networks=network,
-                file=file.name if file else "",
-                show=show,
+                poses=next_n, workspace=workspace, networks=network, file=name, show=show
             )
             if out:
                 show("the robot with its causes")
@@ -166,22 +176,7 @@ def diagnose(
         with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []),
         console,
     )
-    _suggest_next(answers, problem, campaigns or (), list(texts) if out else None, details, console)
-
-
-def _suggest_next(
-    answers: Sequence[CampaignDiagnosis],
-    problem: Path,
-    campaigns: Sequence[Path],
-    written: Sequence[Path] | None,
-    details: bool,
-    console: Console,
-) -> None:
-    """Print the command to run next, and how to see more results.
-
-    problem, campaigns : as given; written : files of --out, None without it
-    details : whether all results were printed
-    """
+    written = list(texts) if out else None
     if len(answers) > 1:
         tables = [a.campaign.tables[0] for a in answers]
         suggest(console, "to learn what changed between them", "compare", problem, *tables)
@@ -189,68 +184,12 @@ def _suggest_next(
         robot = next((path for path in written if path.name == "diagnosed.robot.toml"), None)
         suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
     else:
-        tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns))
+        tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns or ()))
     if not details:
         console.print(
             "where it lies, how certain, what remains: --details, --out DIR or --report FILE.html",
             style="dim",
         )
-
-
-def _diagnose_logs(
-    campaign: LogCampaign,
-    against: Sequence[Path],
-    out: Path | None,
-    report_file: Path | None,
-    json_file: Path | None,
-    quiet: bool,
-    details: bool,
-) -> None:
-    """Diagnose joint logs together, replay them from their commands, and write requested files.
-
-    against : files of drive parameters that are replayed, too
-    details : whether all results are printed
-    """
-    console = wrapped(quiet)
-    texts: dict[Path, str | bytes] = {}
-    with working(quiet, "diagnosing", f"{len(campaign.logs)} logs") as show:
-        answer = campaign.diagnosed(show)
-    with working(quiet, "replaying") as show:
-        replay = campaign.replayed(show, against)
-    # How large the gap is and what makes it comes before what a usual arm would have; tables end.
-    printed: list[Block] = []
-    for result, n_lines in ((replay, 20), (answer, 22 if not replay else 1 if answer.named else 3)):
-        if result:
-            blocks = result.blocks()
-            printed += blocks if details else shortened(blocks, n_lines)
-            if out:
-                texts |= result.files(out)
-    if not details:
-        printed.sort(key=lambda block: isinstance(block, Table))
-    tell(console, *printed)
-    console.print()
-    if report_file:
-        texts[report_file] = html([campaign.page(answer, replay)])
-    if not details:
-        console.print(
-            "residuals, causes and what the log lacks: --details, --out DIR or --report FILE.html", style="dim"
-        )
-    more = {"replay": replay.to_json()} if replay else {}
-    figures = [answer.to_json() | more] if json_file else []
-    save(with_json(texts, json_file, figures), console)
-    robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
-    if robot:
-        suggest(
-            console,
-            "to have it as a model that moves",
-            "export",
-            "model",
-            robot,
-            "--out",
-            "arm.xml",
-        )
-    elif out is None and answer.verdict not in ("ambiguous", "unknown"):
-        suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
 
 
 def _print_diagnosis(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:

@@ -5,25 +5,13 @@ from pathlib import Path
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import (
-    print_result,
-    print_written,
-    save,
-    suggest,
-    suggest_later,
-    with_json,
-    working,
-    wrapped,
-)
+from casadical.cli import terminal as t
 
 
 def export_c(
     context: Context,
     robot: Path = Argument(
-        ...,
-        metavar="ROBOT.toml",
-        callback=o.robot_of,
-        help="A calibrated robot file, or a folder of results.",
+        ..., metavar="ROBOT.toml", callback=o.robot_of, help="Calibrated robot file, or its folder."
     ),
     out: Path = Option(..., "--out", metavar="DIR", help="Folder for the files; other files in it stay."),
     what: str = Option(
@@ -39,23 +27,14 @@ def export_c(
     correct: o.What = "position",
     cycle: float | None = Option(None, metavar="MS", help="Time between two calls of NAME_step [ms]; default: 4."),
     rate: float | None = Option(
-        None,
-        metavar="RAD_PER_S",
-        help="Rate at which a joint's correction may change; default: 0.5 rad/s.",
+        None, metavar="RAD_PER_S", help="Largest rate of a joint's correction; default: 0.5 rad/s."
     ),
-    ramp: float | None = Option(
-        None,
-        metavar="S",
-        help="Time in which the correction is switched on and off [s]; default: 1.",
-    ),
+    ramp: float | None = Option(None, metavar="S", help="Time to switch on or off [s]; default: 1."),
     payload: o.Payload = None,
     tool: o.Tool = "shared",
     leave_out: o.LeaveOut = False,
     name: str | None = Option(
-        None,
-        "--name",
-        metavar="PREFIX",
-        help="Prefix of C functions and files; default: from the robot's name.",
+        None, "--name", metavar="PREFIX", help="Prefix of C names and files; default: robot's name."
     ),
     language: str | None = Option(
         None,
@@ -65,9 +44,7 @@ def export_c(
         help="Languages to write besides the C, by commas; default: structured text.",
     ),
     overwrite: bool = Option(
-        False,
-        "--overwrite",
-        help="Replace files that casadical did not write or that were changed.",
+        False, "--overwrite", help="Replace files that were changed, or not written by casadical."
     ),
     details: o.Details = False,
     json_file: o.Json = None,
@@ -106,24 +83,17 @@ def export_c(
         real=real,
         languages=language.split(",") if language else None,
         overwrite=overwrite,
-        also=lambda written: with_json({}, json_file, written.to_json()),
+        also=lambda written: t.with_json({}, json_file, written.to_json()),
     )
-    console = wrapped(quiet)
-    print_result(console, written.blocks(), details)
-    print_written(json_file, console)
+    console = t.wrapped(quiet)
+    t.print_result(console, written.blocks(), details)
+    t.print_written(json_file, console)
     if what == "command":
-        suggest(
-            console,
-            "to correct an offline program by it",
-            "correct",
-            out,
-            "program.csv",
-            "--out",
-            "corrected.csv",
-        )
+        command = ("correct", out, "program.csv", "--out", "corrected.csv")
+        t.suggest(console, "to correct an offline program by it", *command)
     else:
         words = ("export", "c", robot, "--nominal", "robot.toml", "--out", "c")
-        suggest(console, "to have the correction of joint commands", *words)
+        t.suggest(console, "to have the correction of joint commands", *words)
 
 
 def export_model(
@@ -158,16 +128,11 @@ def export_model(
         "geometry, the rest stays. Needs --joints.",
     ),
     joints: str | None = Option(
-        None,
-        metavar="NAMES",
-        help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas.",
+        None, metavar="NAMES", help="The arm's joints in YOURS.xml, from base to tool, by commas."
     ),
     springs: bool = Option(False, "--springs", help="With --into: a spring next to each compliant joint, NAME_spring."),
     checksum: str = Option(
-        "",
-        "--hash",
-        metavar="WORD",
-        help="For ur: the hash of the controller's own calibration, calib_...",
+        "", "--hash", metavar="WORD", help="For ur: hash of the controller's calibration, calib_..."
     ),
     leave_out: o.LeaveOut = False,
     overwrite: o.Overwrite = False,
@@ -189,7 +154,7 @@ def export_model(
     from casadical.export.model_file import form_of, robot_model
 
     o.refuse_taken(out, overwrite)
-    with working(quiet, "reading") as show:
+    with t.working(quiet, "reading") as show:
         made = robot_model(
             source,
             form_of(form, out),
@@ -203,21 +168,15 @@ def export_model(
             leave_out=leave_out,
             show=show,
         )
-    console = wrapped(quiet)
-    print_result(console, made.blocks(), details)
-    save(
-        with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}),
+    console = t.wrapped(quiet)
+    t.print_result(console, made.blocks(), details)
+    t.save(
+        t.with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}),
         console,
         {out: made.about},
     )
     if source.is_dir():
-        suggest(
-            console,
-            "to keep the robot file and its accuracy",
-            "calibrate",
-            source,
-            "--out",
-            "results",
-        )
+        command = ("calibrate", source, "--out", "results")
+        t.suggest(console, "to keep the robot file and its accuracy", *command)
     else:
-        suggest_later(console, source)
+        t.suggest_later(console, source)

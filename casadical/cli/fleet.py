@@ -27,12 +27,10 @@ def compare(
     same_tool: bool = Option(
         False,
         "--same-tool",
-        help="The same point of the same tool was measured: one that moved is a change.",
+        help="The same point of one tool was measured: its motion is a change.",
     ),
     same_frame: bool = Option(
-        False,
-        "--same-frame",
-        help="All positions are in one frame: a base that moved is a change of the foot.",
+        False, "--same-frame", help="All positions are in one frame: a moved base is a moved foot."
     ),
     details: Details = False,
     json_file: Json = None,
@@ -70,15 +68,9 @@ def fleet(
     folders: list[Path] = Argument(
         ..., metavar="FOLDER...", help="Problem folders, one a robot, or folders that hold them."
     ),
-    store: Path = Option(
-        ...,
-        metavar="STORE.parquet",
-        help="Folder with a Parquet file of each robot's row; continued.",
-    ),
+    store: Path = Option(..., metavar="STORE.parquet", help="One Parquet file a robot; continued."),
     scheduler: str | None = Option(
-        None,
-        metavar="ADDRESS",
-        help="Dask scheduler, as tcp://host:8786; default: this machine's cores.",
+        None, metavar="ADDRESS", help="Dask scheduler, as tcp://host:8786; default: own cores."
     ),
     workers: int | None = Option(
         None, min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core."

@@ -23,11 +23,7 @@ if TYPE_CHECKING:
 
 def measure(
     context: Context,
-    folder: Path = Argument(
-        ...,
-        metavar="ARM",
-        help="Problem folder, as casadical new makes it; the readings are stored there.",
-    ),
+    folder: Path = Argument(..., metavar="ARM", help="Problem folder, where readings are stored."),
     follow: str | None = Option(
         None,
         metavar="FILE|DIR|-",
@@ -47,9 +43,7 @@ def measure(
     room: Room = None,
     finish: bool = Option(False, "--finish", help="Calibrate when the readings end, into the folder `results` in ARM."),
     program: str | None = Option(
-        None,
-        metavar="WORD",
-        help="Give the next pose as a program line, too: krl, rapid, urscript or fanuc.",
+        None, metavar="WORD", help="Also print the next pose in krl, rapid, urscript or fanuc."
     ),
     no_page: bool = Option(False, "--no-page", help="Print the answers; serve no page."),
     host: str = Option(
@@ -99,15 +93,8 @@ def measure(
     target = None if target_mm is None else 1e-3 * target_mm
     load_toml(folder / "problem.toml")  # a folder without it is refused before anything is written there
     with journal(folder) as (course, add):
-        session = LiveSession(
-            folder,
-            course,
-            add,
-            target=target,
-            room=room,
-            move=move,
-            data="synthetic" if simulate else "real",
-        )
+        data = "synthetic" if simulate else "real"
+        session = LiveSession(folder, course, add, target=target, room=room, move=move, data=data)
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
         played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))

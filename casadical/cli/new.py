@@ -24,9 +24,7 @@ def new(
     urdf: Path | None = Option(None, metavar="FILE", help="Take the robot from this URDF."),
     base_link: str | None = Option(None, metavar="LINK", help="First link of the arm in the URDF; default: its root."),
     tip_link: str | None = Option(
-        None,
-        metavar="LINK",
-        help="Last link of the arm; default: the only moving end, or where a gripper begins.",
+        None, metavar="LINK", help="Last link; default: the only moving end, or before a gripper."
     ),
     dh: Path | None = Option(
         None,
@@ -35,9 +33,7 @@ def new(
         "the YAML of a UR arm's kinematics.",
     ),
     convention: str | None = Option(
-        None,
-        metavar="WORD",
-        help="Convention of the DH table: modified (Craig, the default) or standard.",
+        None, metavar="WORD", help="Convention of DH rows: modified (Craig; default) or standard."
     ),
     data: list[Path] | None = Option(
         None,
@@ -62,9 +58,7 @@ def new(
         "OpenCV's coefficients of distortion.",
     ),
     example: bool = Option(
-        False,
-        "--example",
-        help="An example arm with made-up poses: what is written without a robot, too.",
+        False, "--example", help="An example arm with made-up poses, as is written without a robot."
     ),
     yes: bool = Option(False, "--yes", "-y", help="Take the most probable answer to every question on the table."),
     json_file: Json = None,

@@ -85,7 +85,6 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
 
     Raises InputError.
 
-    files, folders : outputs; inputs : paths that are read
     overwrite : whether foreign files may be replaced; None: the command has no such option
     """
     read = {real: path for path in inputs for real in _inputs(path)}
@@ -146,13 +145,8 @@ def _inputs(path: Path) -> Iterator[Path]:
         if not real.is_dir():
             return
         always = (
-            "robot.toml",
-            "*.robot.toml",
-            "*.covariance.npz",
-            "result.json",
-            "withheld.json",
-            "key.json",
-            "manifest.json",
+            *("robot.toml", "*.robot.toml", "*.covariance.npz", "result.json"),
+            *("withheld.json", "key.json", "manifest.json"),
         )
         yield from (p.resolve() for name in always for p in real.glob(name))
         problem = real / "problem.toml"
@@ -175,10 +169,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
-    """Check that an existing file is an output of casadical, or empty. Raises InputError if not.
-
-    remedy : end of the message
-    """
+    """Check that an existing file is an output of casadical, or empty. Raises InputError if not."""
     try:
         text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
@@ -195,8 +186,6 @@ def _is_output(path: Path, text: str) -> bool:
 
     JSON is recognised by its keys, other text by the word casadical. A PNG, and a CSV with several
     columns, counts as an output unless the latter has measured positions.
-
-    text : content of the file
     """
     # Sets of keys by which each kind of JSON that `--json` writes is recognised.
     json_signatures = (

@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import (
-    PLAN,
-    TABLE_WIDTH_WITHOUT_TERMINAL,
-    print_result,
-    save,
-    suggest,
-    tell,
-    with_json,
-    working,
-    wrapped,
-)
+from casadical.cli import terminal as t
 from casadical.core.basics import InputError
 from casadical.core.reporting.blocks import Words
 
@@ -48,11 +36,7 @@ MODE_OPTIONS = {
 
 def plan(
     context: Context,
-    problem: Path = Argument(
-        ...,
-        metavar="PROBLEM",
-        help="Folder with the robot, or a robot file, such as calibrate writes.",
-    ),
+    problem: Path = Argument(..., metavar="PROBLEM", help="Folder of the robot, or a robot file."),
     poses: list[Path] | None = Argument(
         None,
         metavar="[POSES.csv...]",
@@ -66,9 +50,7 @@ def plan(
         help="Number of joint readings to measure; without it, print how many are enough.",
     ),
     out: Path | None = Option(
-        None,
-        metavar="FILE.csv",
-        help="The poses in order, expected figures next to it; default: plan.csv.",
+        None, metavar="FILE.csv", help="Poses in order, expected figures beside; default: plan.csv."
     ),
     effects: str | None = Option(
         None,
@@ -96,25 +78,14 @@ def plan(
         "or 0.02; estimated from --measured.",
     ),
     joint_noise_urad: float = Option(0.0, min=0, help="Repeatability of a joint, one sigma."),
-    min_distance: float = Option(
-        0.0,
-        min=0,
-        max=1,
-        help="Least distance of two poses: in the joint that differs most, as a share of its range.",
-    ),
+    min_distance: float = Option(0.0, min=0, max=1, help="Least distance of poses, in joint ranges."),
     target_mm: float | None = Option(None, min=0, help="Wanted accuracy; prints how many poses are enough for it."),
     order: bool = Option(True, "--order/--no-order", help="Order the poses for short travel."),
     wires: int | None = Option(
-        None,
-        min=1,
-        max=4,
-        help="Plan for so many draw wires, and where they end, in place of positions.",
+        None, min=1, max=4, help="Plan for so many draw wires, and their ends, not for positions."
     ),
     sockets: int | None = Option(
-        None,
-        min=1,
-        max=30,
-        help="Plan for the tool's ball in so many sockets, in place of positions.",
+        None, min=1, max=30, help="Plan for the tool's ball in so many sockets, not for positions."
     ),
     places: Path | None = Option(
         None,
@@ -168,188 +139,95 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.project.planning import circumstances_of, plan_problem
+    from casadical.project.planning import circumstances_of, plan_problem, planned_with
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--camera": camera}
     o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION_MODE), MODE_OPTIONS)
     if isolability:
-        _isolability(problem, poses, effects, json_file, quiet)
+        from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
+
+        console = t.wrapped(quiet, None if sys.stdout.isatty() else t.TABLE_WIDTH_WITHOUT_TERMINAL)
+        answers = []
+        for campaign in read_campaigns(problem, poses, readings_only=True):
+            shows = isolability_of(campaign, effects_named(effects))
+            answers.append(shows.to_json(campaign.name))
+            title = Words(f"{campaign.title}, {sum(map(len, campaign.sets))} poses", "title")
+            t.tell(console, title, *shows.blocks())
+            console.print()
+        t.save(t.with_json({}, json_file, answers), console)
+        t.suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
         return
     if iso9283:
-        _iso9283(problem, cube_mm, out or Path("iso9283.csv"), room, seed, quiet)
+        from casadical.project.planning import iso9283_plan
+
+        console = t.wrapped(quiet)
+        with t.working(quiet, "poses of the standard"):
+            words, table = iso9283_plan(problem, cube_mm, room, seed)
+        t.tell(console, *words)
+        out = out or Path("iso9283.csv")
+        t.save({out: table.to_csv(index=False)}, console)
+        t.suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
         return
     if touches:
-        _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
+        from casadical.fleet.touches import plan_touches
+
+        console = t.wrapped(quiet)
+        with t.working(quiet, "choosing touches"):
+            table = plan_touches(problem, touches, noise_mm=noise_mm, room=room, seed=seed)
+        console.print(
+            f"{touches} touches that tell most about zeros, tool and foot. Touch them every day in "
+            "the frame of the calibration, put x_mm, y_mm, z_mm into a copy whose name has the day "
+            "(2026-03-14.csv), and have the copies verified."
+        )
+        t.save({out or Path("touches.csv"): table.to_csv(index=False)}, console)
+        t.suggest(console, "when they were touched", "verify", problem, "DAY.csv", "--touches")
         return
     if camera:
-        _camera(problem, n or 25, out or Path("stations.csv"), room, json_file, seed, quiet, view, noise_mm)
+        from casadical.pose_selection import camera_stations
+        from casadical.pose_selection.workspace import read_workspace
+        from casadical.project.calibration import calibrate
+        from casadical.project.problem import read_campaign_robot
+
+        console = t.wrapped(quiet)
+        with t.working(quiet, "choosing stations"):
+            seen = camera_stations.read_view(view) if problem.is_file() else None
+            if seen:
+                sigma = 1e-3 * (1.0 if noise_mm is None else noise_mm)
+                robot = read_campaign_robot(problem)
+                found = camera_stations.simulated_stations(robot, seen, sigma, seed)
+            else:
+                found = calibrate(problem).identification
+            workspace = read_workspace(room, found.robot) if room else None
+            stations = camera_stations.camera_stations(found, n or 25, workspace, seed, seen)
+        t.tell(console, *stations.blocks())
+        out = out or Path("stations.csv")
+        texts = {out: stations.table.to_csv(index=False)}
+        t.save(t.with_json(texts, json_file, stations.to_json()), console)
+        when = "when the poses of the board are in columns next to these readings"
+        t.suggest(console, when, "calibrate", problem, out)
         return
-    chosen = partial(
-        plan_problem,
-        problem,
-        n,
-        measured,
-        o.carried_prior(prior, prior_effects, frozen=False),
-        effects=effects.split(",") if effects else (),
-        room=room,
-        circumstances=circumstances_of(payloads, every_payload, both_approaches, repeats),
-        noise_mm=noise_mm,
-        joint_noise_urad=joint_noise_urad,
-        min_distance=min_distance,
-        target_mm=target_mm,
-        order=order,
-        places=_places(wires, sockets, places, known_places),
-        seed=seed,
-    )
-    _poses(
-        chosen,
-        problem,
-        out if n is None else out or Path("plan.csv"),
-        measured,
-        prior,
-        json_file,
-        quiet,
-        details,
-    )
-
-
-def _poses(
-    chosen: Callable[..., Any],
-    problem: Path,
-    to: Path | None,
-    measured: Path | None,
-    prior: Path | None,
-    json_file: Path | None,
-    quiet: bool,
-    details: bool,
-) -> None:
-    """Print which poses to measure, or how many are enough, and write requested files.
-
-    chosen : function that makes the plan, called with a function that shows progress
-    to : file of the poses; None: only the number of poses is printed
-    measured, prior : as given to the command, for its sentence on the model
-    details : whether all figures are printed
-    """
-    from casadical.project.planning import planned_with
-
-    console = wrapped(quiet)
-    with working(quiet, "choosing poses", steps=PLAN) as show:
-        planned = chosen(show=show)
-    print_result(console, [*planned.blocks(), Words(planned_with(problem, measured, prior), "note")], details)
-    save(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
-    if to:
-        tables = (*([measured] if measured else []), to)
-        suggest(
-            console,
-            "when what was measured is in columns next to these readings",
-            "calibrate",
-            problem,
-            *tables,
-        )
+    carried = o.carried_prior(prior, prior_effects, frozen=False)
+    asked: dict[str, Any] = {"joint_noise_urad": joint_noise_urad, "min_distance": min_distance}
+    asked |= {"noise_mm": noise_mm, "target_mm": target_mm, "order": order, "seed": seed}
+    asked["room"] = room
+    asked["effects"] = effects.split(",") if effects else ()
+    asked["circumstances"] = circumstances_of(payloads, every_payload, both_approaches, repeats)
+    asked["places"] = _places(wires, sockets, places, known_places)
+    out = out if n is None else out or Path("plan.csv")
+    console = t.wrapped(quiet)
+    with t.working(quiet, "choosing poses", steps=t.PLAN) as show:
+        planned = plan_problem(problem, n, measured, carried, show=show, **asked)
+    note = Words(planned_with(problem, measured, prior), "note")
+    t.print_result(console, [*planned.blocks(), note], details)
+    t.save(t.with_json(planned.files(out) if out else {}, json_file, planned.to_json()), console)
+    if out:
+        tables = (*([measured] if measured else []), out)
+        when = "when what was measured is in columns next to these readings"
+        t.suggest(console, when, "calibrate", problem, *tables)
     else:
         enough = planned.forecast.stop()
         what = "as many as you can measure" if enough is None else "so many"
-        suggest(console, f"to choose {what}", *sys.argv[1:], "-n", enough or 100)
-
-
-def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool) -> None:
-    """Plan a test by ISO 9283, and write the table of its poses to `out`.
-
-    cube_mm : side of the test cube; None: the largest that fits; room : file of a workspace
-    """
-    from casadical.project.planning import iso9283_plan
-
-    console = wrapped(quiet)
-    with working(quiet, "poses of the standard"):
-        words, table = iso9283_plan(problem, cube_mm, room, seed)
-    tell(console, *words)
-    save({out: table.to_csv(index=False)}, console)
-    suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
-
-
-def _touches(
-    robot: Path,
-    n: int,
-    out: Path,
-    noise_mm: float | None,
-    room: Path | None,
-    seed: int,
-    quiet: bool,
-) -> None:
-    """Choose n points to touch every day, and write their table to `out`.
-
-    noise_mm : of a touch, None: the default; room : file of a workspace
-    """
-    from casadical.fleet.touches import plan_touches
-
-    console = wrapped(quiet)
-    with working(quiet, "choosing touches"):
-        table = plan_touches(robot, n, noise_mm=noise_mm, room=room, seed=seed)
-    console.print(
-        f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame "
-        "of the calibration, put x_mm, y_mm, z_mm into a copy whose name has the day "
-        "(2026-03-14.csv), and have the copies verified."
-    )
-    save({out: table.to_csv(index=False)}, console)
-    suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches")
-
-
-def _camera(
-    problem: Path,
-    n: int,
-    out: Path,
-    room: Path | None,
-    json_file: Path | None,
-    seed: int,
-    quiet: bool,
-    view: str,
-    noise_mm: float | None,
-) -> None:
-    """Choose n stations at which a camera sees its board, and write their table to `out`.
-
-    room : file of a workspace; view, noise_mm : of the camera, where only a robot is given
-    """
-    from casadical.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
-    from casadical.pose_selection.workspace import read_workspace
-    from casadical.project.calibration import calibrate
-    from casadical.project.problem import read_campaign_robot
-
-    console = wrapped(quiet)
-    with working(quiet, "choosing stations"):
-        seen = read_view(view) if problem.is_file() else None
-        if seen:
-            found = simulated_stations(
-                read_campaign_robot(problem), seen, 1e-3 * (1.0 if noise_mm is None else noise_mm), seed
-            )
-        else:
-            found = calibrate(problem).identification
-        workspace = read_workspace(room, found.robot) if room else None
-        planned = camera_stations(found, n, workspace, seed, seen)
-    tell(console, *planned.blocks())
-    save(with_json({out: planned.table.to_csv(index=False)}, json_file, planned.to_json()), console)
-    suggest(console, "when the poses of the board are in columns next to these readings", "calibrate", problem, out)
-
-
-def _isolability(
-    problem: Path,
-    poses: list[Path] | None,
-    effects: str | None,
-    json_file: Path | None,
-    quiet: bool,
-) -> None:
-    """Print which effects could be detected and distinguished at given poses, before any data."""
-    from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
-
-    console = wrapped(quiet, None if sys.stdout.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL)
-    answers = []
-    for campaign in read_campaigns(problem, poses, readings_only=True):
-        shows = isolability_of(campaign, effects_named(effects))
-        answers.append(shows.to_json(campaign.name))
-        title = Words(f"{campaign.title}, {sum(map(len, campaign.sets))} poses", "title")
-        tell(console, title, *shows.blocks())
-        console.print()
-    save(with_json({}, json_file, answers), console)
-    suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
+        t.suggest(console, f"to choose {what}", *sys.argv[1:], "-n", enough or 100)
 
 
 def _places(wires: int | None, sockets: int | None, candidates: Path | None, surveyed: bool) -> Places | None:

@@ -18,9 +18,6 @@ from casadical.cli.plan import plan
 from casadical.cli.verify import certificate, verify
 from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
 
-# Command -> its parameters that name outputs, in addition to those that do so in all commands.
-ADDITIONAL_OUTPUTS = {"new": ("folder",), "verify": ("update", "chart")}
-
 
 class RobotFirst(TyperGroup):
     """A command group whose first word may be a robot, which then goes to its command `robot`."""
@@ -75,19 +72,12 @@ def _root(
 
 
 for command in (
-    new,
-    measure,
-    check,
-    calibrate,
-    verify,
-    compare,
-    fleet,
-    diagnose,
-    plan,
-    correct,
-    certificate,
+    *(new, measure, check, calibrate, verify, compare),
+    *(fleet, diagnose, plan, correct, certificate),
 ):
-    app.command()(guarded(command, also=ADDITIONAL_OUTPUTS.get(command.__name__, ())))
+    # Parameters that name outputs, in addition to those that do so in all commands.
+    outputs = {"new": ("folder",), "verify": ("update", "chart")}.get(command.__name__, ())
+    app.command()(guarded(command, also=outputs))
 export_app.command("c")(guarded(export_c))
 export_app.command("model")(guarded(export_model))
 for withheld_command in (withheld_robot, withheld_make, withheld_predict, withheld_score):

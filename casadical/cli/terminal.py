@@ -11,16 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    SpinnerColumn,
-    Task,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
 from rich.text import Text
 
 from casadical.core.basics import MAX_FAULTS_SHOWN, FaultsError, Show, shown, visible
@@ -201,10 +193,6 @@ DIAGNOSIS: Steps = {
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
 # The same for the steps of a plan of poses (beginning of words -> share of the work, 0 to 1).
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
-# Pattern of the number of an item and of all items, "k of n", in the words of a step.
-_COUNT = re.compile(r"(\d+) of (\d+)")
-# Pattern of the number of an iteration of a solve in the words of a step.
-_ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
 
 @contextmanager
@@ -230,10 +218,11 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
     steps : share of the work at which each step begins
     """
     console = Console(stderr=True)
-    columns = [SpinnerColumn(), BarColumn(10), TaskProgressColumn(), TimeElapsedColumn(), _ToGo()]
-    columns.append(TextColumn("{task.description}", markup=False))
+    columns = [progress.SpinnerColumn(), progress.BarColumn(10), progress.TaskProgressColumn()]
+    columns += [progress.TimeElapsedColumn(), _ToGo(), progress.TextColumn("{task.description}", markup=False)]
     head = f"{name}: " if name else ""
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.file.isatty()) as bar:
+    silent = quiet or not console.file.isatty()
+    with progress.Progress(*columns, console=console, transient=True, disable=silent) as bar:
         task = bar.add_task(head + step, total=None)
         done = 0.0
 
@@ -254,9 +243,9 @@ def share(text: str, steps: Steps) -> float:
     named = next((k for k, words in enumerate(steps) if text.startswith(words)), None)
     ends = [*steps.values(), 1.0]
     first, last = (0.0, 1.0) if named is None else (ends[named], ends[named + 1])
-    if counted := _COUNT.search(text):
+    if counted := re.search(r"(\d+) of (\d+)", text):
         done, count = int(counted[1]), int(counted[2])
-        iteration = _ITERATION.search(text)
+        iteration = re.search(r"(?:iteration|step) (\d+)", text)
         # A counted item is complete (a campaign), or has just begun (a solve with iterations).
         # A solve counts as half done after 8 iterations: their number is unknown beforehand.
         begun = int(iteration[1]) / (int(iteration[1]) + 8.0) if iteration else 0.0
@@ -265,13 +254,13 @@ def share(text: str, steps: Steps) -> float:
     return first if named is not None else 0.0
 
 
-class _ToGo(TextColumn):
+class _ToGo(progress.TextColumn):
     """The remaining time, extrapolated from the share done and the elapsed time."""
 
     def __init__(self) -> None:
         super().__init__("")
 
-    def render(self, task: Task) -> Text:
+    def render(self, task: progress.Task) -> Text:
         """Return the remaining time; empty as long as it cannot be estimated."""
         elapsed, done = task.elapsed or 0.0, task.completed if task.total else 0.0
         if not done or elapsed < 1:

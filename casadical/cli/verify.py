@@ -7,25 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Context, Exit, Option
 
+from casadical.cli import terminal as t
 from casadical.cli.options import Details, Effects, Json, Quiet, Report, refuse_of_others
-from casadical.cli.terminal import (
-    DIAGNOSIS,
-    EXIT_NOT_VALID,
-    html,
-    plain,
-    print_result,
-    save,
-    suggest,
-    tell,
-    with_json,
-    working,
-    wrapped,
-)
 from casadical.core.basics import InputError
 from casadical.core.reporting.result import shortened
 
 if TYPE_CHECKING:
-    from casadical.project.acceptance.acceptance import Acceptance
+    from casadical.project.acceptance.iso9283 import Iso9283
+    from casadical.project.acceptance.verification import Verification
 
 # Mode of the command -> names of its parameters, in addition to robot, tables and quiet; the first
 # mode that is given is taken.
@@ -84,33 +73,29 @@ def verify(
         "and what moved.",
     ),
     tolerance_mm: float | None = Option(
-        None,
-        min=0,
-        help="With --touches: rms error that is allowed; default: twice what the file states.",
+        None, min=0, help="With --touches: allowed rms error; default: twice the stated one."
     ),
     noise_mm: float | None = Option(None, min=0, help="With --touches: noise of a coordinate, one sigma."),
     fleet: Path | None = Option(
         None,
         metavar="FILE.json",
-        help="With --touches: what `casadical fleet --json` wrote, whose changes count.",
+        help="With --touches: output of `fleet --json`; its changes count.",
     ),
     update: Path | None = Option(
         None,
         metavar="ROBOT.toml",
-        help="With --touches: write the corrected robot where that is better.",
+        help="With --touches: write the corrected robot if it is better.",
     ),
     chart: Path | None = Option(None, metavar="FILE.csv", help="With --touches: a row a day, with control limits."),
     report_file: Report = None,
     effects: Effects = None,
     seed: int | None = Option(
-        None,
-        min=0,
-        help="Of the split of the poses with --mujoco, of the draws with --touches; default: 0.",
+        None, min=0, help="Of the poses' split (--mujoco), of the draws (--touches); default: 0."
     ),
     out: Path | None = Option(
         None,
         metavar="DIR",
-        help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one).",
+        help="With --mujoco: folder of models, CAMPAIGN.STAGE.xml (0: nominal).",
     ),
     details: Details = False,
     json_file: Json = None,
@@ -141,60 +126,40 @@ def verify(
         count = str(tables[0])
         if count.isdecimal() and not tables[0].exists():
             raise InputError(f"--touches judges tables of days; casadical plan {robot} --touches {count} plans points")
-        asked = {
-            "tolerance_mm": tolerance_mm,
-            "noise_mm": noise_mm,
-            "fleet": fleet,
-            "seed": seed or 0,
-        }
-        _touched(robot, tables, asked, update, chart, report_file, json_file, quiet)
+        from casadical.fleet.touches import judge_touches
+
+        asked: dict[str, Any] = {"noise_mm": noise_mm, "fleet": fleet, "seed": seed or 0}
+        asked["tolerance_mm"] = tolerance_mm
+
+        console = t.wrapped(quiet)
+        with t.working(quiet, "what changed", tables[-1].name):
+            judged = replace(judge_touches(robot, tables, **asked), update=update)
+        t.tell(console, *judged.blocks())
+        texts: dict[Path, str] = {chart: judged.chart_csv()} if chart else {}
+        if update and judged.better:
+            texts[update] = judged.updated_text()
+        elif update:
+            console.print(f"{update} is not written: {judged.why_not_updated}")
+        if report_file:
+            texts[report_file] = t.html([judged.page()])
+        t.save(t.with_json(texts, json_file, judged.to_json()), console)
+        if judged.verdict != "valid":
+            raise Exit(t.EXIT_NOT_VALID)
         return
     from casadical.project.acceptance import verification
 
-    console = wrapped(quiet)
-    with working(quiet, "fitting base and tool", tables[0].name):
-        checked: Acceptance = (
+    console = t.wrapped(quiet)
+    with t.working(quiet, "fitting base and tool", tables[0].name):
+        checked: Iso9283 | Verification = (
             verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
         )
-    print_result(console, checked.blocks(), details)
-    save(with_json({}, json_file, checked.to_json()), console)
+    t.print_result(console, checked.blocks(), details)
+    t.save(t.with_json({}, json_file, checked.to_json()), console)
     if iso9283:
         folder = robot if robot.is_dir() else robot.parent
-        suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
-    if checked.accepted is False:
-        raise Exit(EXIT_NOT_VALID)
-
-
-def _touched(
-    robot: Path,
-    tables: list[Path],
-    asked: dict[str, Any],
-    update: Path | None,
-    chart: Path | None,
-    report: Path | None,
-    json_file: Path | None,
-    quiet: bool,
-) -> None:
-    """Judge the last of several days of touches, and write requested files.
-
-    asked : further arguments of `judge_touches`; update, chart, report : paths of such files, or None
-    """
-    from casadical.fleet.touches import judge_touches
-
-    console = wrapped(quiet)
-    with working(quiet, "what changed", tables[-1].name):
-        touches = replace(judge_touches(robot, tables, **asked), update=update)
-    tell(console, *touches.blocks())
-    texts: dict[Path, str] = {chart: touches.chart_csv()} if chart else {}
-    if update and touches.better:
-        texts[update] = touches.updated_text()
-    elif update:
-        console.print(f"{update} is not written: {touches.why_not_updated}")
-    if report:
-        texts[report] = html([touches.page()])
-    save(with_json(texts, json_file, touches.to_json()), console)
-    if touches.verdict != "valid":
-        raise Exit(EXIT_NOT_VALID)
+        t.suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
+    if isinstance(checked, verification.Verification) and not checked.valid:
+        raise Exit(t.EXIT_NOT_VALID)
 
 
 def _replay(
@@ -215,29 +180,21 @@ def _replay(
     from casadical.project.diagnosis import effects_named, read_campaigns
 
     load_mujoco()
-    console = plain(quiet)
+    console = t.plain(quiet)
     answers = []
     texts: dict[Path, str] = {}
     for campaign in read_campaigns(problem, tables):
-        with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
+        with t.working(quiet, "diagnosing", campaign.name, t.DIAGNOSIS) as show:
             replayed = replay_campaign(campaign.robot, campaign.sets[0], effects_named(effects), seed=seed, show=show)
         console.print(f"{campaign.title}, held-out poses replayed in MuJoCo")
-        tell(console, *replayed.blocks())
+        t.tell(console, *replayed.blocks())
         answers.append({"campaign": campaign.name, **replayed.to_json()})
         if out:
             texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
-    save(with_json(texts, json_file, answers), console)
+    t.save(t.with_json(texts, json_file, answers), console)
     of_campaign = ("--campaign", tables[0]) if tables else ()
-    suggest(
-        console,
-        "to keep it as a model",
-        "export",
-        "model",
-        problem,
-        "--out",
-        "arm.xml",
-        *of_campaign,
-    )
+    command = ("export", "model", problem, "--out", "arm.xml", *of_campaign)
+    t.suggest(console, "to keep it as a model", *command)
 
 
 def certificate(
@@ -251,12 +208,7 @@ def certificate(
     problem: Path | None = Option(
         None, metavar="PROBLEM_DIR", help="What was calibrated; default: as result.json names it."
     ),
-    iso9283: Path | None = Option(
-        None,
-        "--iso9283",
-        metavar="TABLE.csv",
-        help="A test that `casadical plan --iso9283` planned.",
-    ),
+    iso9283: Path | None = Option(None, metavar="TABLE.csv", help="A test as `plan` planned it."),
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -271,16 +223,16 @@ def certificate(
     """
     from casadical.project.acceptance.certificate import certificate as certified
 
-    console = wrapped(quiet)
-    with working(quiet, "uncertainty"):
+    console = t.wrapped(quiet)
+    with t.working(quiet, "uncertainty"):
         made = certified(results, details, problem=problem, iso9283=iso9283)
     blocks = made.blocks()
-    tell(console, *shortened(blocks))
+    t.tell(console, *shortened(blocks))
     if not out and not json_file:
         console.print("the whole budget: --out FILE.pdf or --json FILE", style="dim")
     texts: dict[Path, str | bytes] = {out: made.pdf()} if out else {}
-    save(with_json(texts, json_file, made.to_json()), console)
+    t.save(t.with_json(texts, json_file, made.to_json()), console)
     if out is None:
-        suggest(console, "to have it as two pages", *sys.argv[1:], "--out", "certificate.pdf")
+        t.suggest(console, "to have it as two pages", *sys.argv[1:], "--out", "certificate.pdf")
     else:
-        suggest(console, "when some ten poses are measured again", "verify", results, "LATER.csv")
+        t.suggest(console, "when some ten poses are measured again", "verify", results, "LATER.csv")

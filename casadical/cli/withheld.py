@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option, echo
 
@@ -56,30 +56,17 @@ def withheld_robot(
     given = int(poses) if poses.isdigit() else read_campaign(robot, Path(poses), subject, readings_only=True)
     lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
-        checked = check_robot(
-            subject,
-            poses=given,
-            noise_um=noise_um,
-            n=n,
-            seed=seed,
-            not_logged=lacking,
-            executor=executor,
-            show=_counted(step),
-        )
+        how: dict[str, Any] = {"executor": executor, "show": _counted(step)}
+        how |= {"poses": given, "noise_um": noise_um, "n": n, "seed": seed, "not_logged": lacking}
+        checked = check_robot(subject, **how)
     console = wrapped(quiet)
     tell(console, *checked.blocks())
     save(with_json({}, json_file, checked.to_json()), console)
     if poses.isdigit():
         suggest(console, "to choose these poses", "plan", robot, "-n", poses)
     else:
-        suggest(
-            console,
-            "to learn which effects look alike at these poses",
-            "plan",
-            robot,
-            poses,
-            "--isolability",
-        )
+        command = ("plan", robot, poses, "--isolability")
+        suggest(console, "to learn which effects look alike at these poses", *command)
 
 
 def withheld_make(
@@ -118,17 +105,8 @@ def withheld_make(
 
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         show = _counted(step)
-        made = make(
-            out,
-            place,
-            n,
-            seed,
-            poses=sizes,
-            project=project,
-            executor=executor,
-            show=show,
-            also=json_output,
-        )
+        how: dict[str, Any] = {"poses": sizes, "project": project, "executor": executor, "show": show}
+        made = make(out, place, n, seed, also=json_output, **how)
     console = wrapped(quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
     console.print(f"sha256 of the key: {made.key_sha256}", soft_wrap=True)
@@ -139,10 +117,7 @@ def withheld_make(
 def withheld_predict(
     folder: Folder,
     out: Path | None = Option(
-        None,
-        "--out",
-        metavar="FILE",
-        help="Answers, a line of JSON each; default: DIR/answers.diagnosis.jsonl.",
+        None, "--out", metavar="FILE", help="Answers in JSON; default: DIR/answers.diagnosis.jsonl."
     ),
     workers: Workers = None,
     json_file: Json = None,
@@ -174,15 +149,8 @@ def withheld_predict(
     console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     usual = folder.with_name(f"{folder.resolve().name}-key")
-    suggest(
-        console,
-        "to count what is right",
-        "withheld",
-        "score",
-        folder,
-        usual if usual.is_dir() else "KEYDIR",
-        path,
-    )
+    command = ("withheld", "score", folder, usual if usual.is_dir() else "KEYDIR", path)
+    suggest(console, "to count what is right", *command)
     save(with_json({}, json_file, {"answers": str(path), "by": "diagnosis"}), console)
 
 

@@ -97,8 +97,13 @@ def _rigid(a: Array, b: Array) -> bool:
     if np.median(length) < 1e-3 * size:
         return float(np.std(b[whole], axis=0).max()) > 0
     way = way[np.abs(length - np.median(length)) < 0.05 * np.median(length)]
-    values = np.linalg.eigvalsh(way.T @ way)
-    return scatter < 2e-3 * size and scatter < 0.05 * np.median(length) and values[-1] < 0.95 * values.sum()
+    return scatter < 2e-3 * size and scatter < 0.05 * np.median(length) and directions_turn(way)
+
+
+def directions_turn(ways: Array) -> bool:
+    """Return whether vectors, shape (n, 3), turn: no direction has 95 % of their squares."""
+    values = np.linalg.eigvalsh(ways.T @ ways)
+    return bool(values[-1] < 0.95 * values.sum())
 
 
 def _target_names(words: Sequence[set[str]]) -> list[str]:
@@ -144,16 +149,53 @@ def _pair(a: RawTable, b: RawTable) -> RawTable:
     if not (a.form.header_line and b.form.header_line):
         together = _pair(*(_with_file_names(raw) for raw in (a, b)))
         return replace(together, form=replace(together.form, header_line=0))
-    keys = _keys(a, b)
+    found = []
+    for left in a.header:
+        for right in b.header:
+            cells = [_labels(a.frame[left]), _labels(b.frame[right])]
+            if any(c is None for c in cells):
+                continue
+            own, theirs = (set(c) for c in cells if c is not None)
+            least = min(len(own), len(theirs))
+            shared = len(own & theirs) / least
+            unique = len(own) == len(a.frame) or len(theirs) == len(b.frame)
+            alike = words_of(left)[0] == words_of(right)[0]
+            if unique and shared >= (0.5 if alike else 0.8) and least > 2:
+                found.append((-shared - alike, left, right))
+    keys = [(left, right) for _, left, right in sorted(found)]
     if keys:
         left, right = keys[0]
-        return _made(a, _merged(a, b, left, right), f"{names} are joined by their columns {left!r} and {right!r}.")
+        one = a.frame.rename(columns=_apart(b, a) | {left: left})
+        two = b.frame.rename(columns=_apart(a, b)).drop(columns=_apart(a, b).get(right, right))
+        one = one.assign(_key=_labels(a.frame[left]))
+        table = one.merge(two.assign(_key=_labels(b.frame[right])), on="_key", sort=False)
+        said = f"{names} are joined by their columns {left!r} and {right!r}."
+        return _made(a, table.drop(columns="_key"), said)
     times = _time(a), _time(b)
     if times[0] and times[1]:
         x, y = _seconds(a, times[0]), _seconds(b, times[1])
         # Over 80 % of the times of one table are within those of the other, +- 1 s.
         if max(np.mean((u >= v.min() - 1) & (u <= v.max() + 1)) for u, v in ((x, y), (y, x))) > 0.8:
-            return _by_time(a, b, x, y)
+            swap = len(a.frame) > len(b.frame)
+            few, many, x, y = (b, a, y, x) if swap else (a, b, x, y)
+            frame = many.frame.rename(columns=_apart(few, many)).assign(_t=y)
+            step = float(np.median(np.diff(y))) if len(y) > 1 else np.inf
+            near = pd.merge_asof(
+                few.frame.rename(columns=_apart(many, few)).assign(_t=x),
+                frame,
+                on="_t",
+                direction="nearest",
+                tolerance=max(step, 1e-9),  # type: ignore[arg-type]
+            )
+            lost = int(near[[n for n in frame if n != "_t"]].isna().all(axis=1).sum())
+            names = f"{few.path.name} and {many.path.name}"
+            rest = f"; {lost} without one are left out" if lost else ""
+            said = f"{names} are joined by time: each row of the first has the nearest of"
+            said += f" the second, within {step:.3g} s{rest}."
+            near = near[~near[[n for n in frame if n != "_t"]].isna().all(axis=1)]
+            if not len(near):
+                raise InputError(f"{names}: no time stamps within {step:.3g} s of each other; are the clocks the same?")
+            return _made(few, near.drop(columns="_t"), said)
     if len(a.frame) == len(b.frame):
         right_frame = b.frame.rename(columns=_apart(a, b)).reset_index(drop=True)
         table = pd.concat([a.frame.rename(columns=_apart(b, a)).reset_index(drop=True), right_frame], axis=1)
@@ -178,26 +220,6 @@ def _with_file_names(raw: RawTable) -> RawTable:
     return replace(raw, header=header, frame=frame, form=replace(raw.form, header_line=1))
 
 
-def _keys(a: RawTable, b: RawTable) -> list[tuple[str, str]]:
-    """Return pairs of columns whose cells name the same poses, the most probable first.
-
-    One of them names each row once, and most of its cells are in the other one.
-    """
-    found = []
-    for left in a.header:
-        for right in b.header:
-            cells = [_labels(a.frame[left]), _labels(b.frame[right])]
-            if any(c is None for c in cells):
-                continue
-            x, y = (set(c) for c in cells if c is not None)
-            shared = len(x & y) / min(len(x), len(y))
-            unique = len(x) == len(a.frame) or len(y) == len(b.frame)
-            alike = words_of(left)[0] == words_of(right)[0]
-            if unique and shared >= (0.5 if alike else 0.8) and min(len(x), len(y)) > 2:
-                found.append((-shared - alike, left, right))
-    return [(left, right) for _, left, right in sorted(found)]
-
-
 def _labels(cells: pd.Series) -> list[str] | None:
     """Return cells as labels of poses: words or whole numbers that are not all equal; else None."""
     numbers = numbers_of(cells)
@@ -207,13 +229,6 @@ def _labels(cells: pd.Series) -> list[str] | None:
         return None
     texts = [str(cell).strip().casefold() for cell in cells]
     return [re.sub(r"^(\D+?)[\s_-]*0*(\d+)$", r"\1\2", text) for text in texts] if len({*texts}) > 1 else None
-
-
-def _merged(a: RawTable, b: RawTable, left: str, right: str) -> pd.DataFrame:
-    """Return the rows of two tables whose keys are equal, in the order of the first table."""
-    x = a.frame.rename(columns=_apart(b, a) | {left: left}).assign(_key=_labels(a.frame[left]))
-    y = b.frame.rename(columns=_apart(a, b)).drop(columns=_apart(a, b).get(right, right))
-    return x.merge(y.assign(_key=_labels(b.frame[right])), on="_key", sort=False).drop(columns="_key")
 
 
 def _time(raw: RawTable) -> str:
@@ -230,41 +245,8 @@ def _seconds(raw: RawTable, name: str) -> Array:
     return np.asarray(times * seconds_of_one(times, words_of(name)[1]))
 
 
-def _by_time(a: RawTable, b: RawTable, of_a: Array, of_b: Array) -> RawTable:
-    """Return the rows of the table with fewer rows, with the nearest ones of the other table.
-
-    Rows without one within a median step of the other are omitted. Raises InputError: none is left.
-
-    of_a, of_b : times of the rows, shape (n,) [s]
-    """
-    swap = len(a.frame) > len(b.frame)
-    few, many, x, y = (b, a, of_b, of_a) if swap else (a, b, of_a, of_b)
-    frame = many.frame.rename(columns=_apart(few, many)).assign(_t=y)
-    step = float(np.median(np.diff(y))) if len(y) > 1 else np.inf
-    near = pd.merge_asof(
-        few.frame.rename(columns=_apart(many, few)).assign(_t=x),
-        frame,
-        on="_t",
-        direction="nearest",
-        tolerance=max(step, 1e-9),  # type: ignore[arg-type]
-    )
-    lost = int(near[[n for n in frame if n != "_t"]].isna().all(axis=1).sum())
-    names = f"{few.path.name} and {many.path.name}"
-    rest = f"; {lost} without one are left out" if lost else ""
-    said = (
-        f"{names} are joined by time: each row of the first has the nearest of the second, within {step:.3g} s{rest}."
-    )
-    near = near[~near[[n for n in frame if n != "_t"]].isna().all(axis=1)]
-    if not len(near):
-        raise InputError(f"{names}: no time stamps within {step:.3g} s of each other; are the clocks the same?")
-    return _made(few, near.drop(columns="_t"), said)
-
-
 def _made(raw: RawTable, table: pd.DataFrame, said: str) -> RawTable:
-    """Return a rearranged table; its rows count as in a file with one line of headings.
-
-    said : how it was rearranged, as a sentence
-    """
+    """Return a rearranged table; its rows count as in a file with one line of headings."""
     table = table.reset_index(drop=True)
     line = table.pop("row of the file").to_numpy() if "row of the file" in table else np.arange(len(table)) + 2
     units = dict(zip(raw.header, raw.form.units, strict=False))

@@ -49,7 +49,9 @@ def table_of_arrays(path: Path, data: bytes) -> tuple[pd.DataFrame, str]:
         arrays = {**_arrays(content)}
     counts = {size for a in arrays.values() for size in a.shape if size > 3}
     if not arrays or not counts:
-        raise InputError(f"{path}: holds no table: {_contents(content)}; save the poses as CSV, one row each")
+        names = [str(k) for k in content if not str(k).startswith("__")] if isinstance(content, Mapping) else []
+        held = ", ".join(names)[:200] or type(content).__name__
+        raise InputError(f"{path}: holds no table: {held}; save the poses as CSV, one row each")
     arrays, handeye = _without_flange(path, arrays)
     n = max(counts, key=lambda size: (sum(size in a.shape for a in arrays.values()), size))
     columns: dict[str, Array] = {}
@@ -78,12 +80,6 @@ def _without_flange(path: Path, arrays: Mapping[str, Array]) -> tuple[dict[str, 
         )
     said = " Samples of easy_handeye2: poses of the flange (robot) are computed by the controller, and not used."
     return {name: array for name, array in arrays.items() if parts[name] != "robot"}, said
-
-
-def _contents(content: Any) -> str:
-    """Return the names in a file's content, else its type, for messages."""
-    names = [str(k) for k in content if not str(k).startswith("__")] if isinstance(content, Mapping) else []
-    return ", ".join(names)[:200] if names else type(content).__name__
 
 
 def _arrays(content: Any, name: str = "") -> Mapping[str, Array]:

@@ -218,30 +218,20 @@ def refined(
         k = int(np.argmax(gain - 0.5 * (exponents - 1.0) ** 2))
         growth.append(float(exponents[k]))
         found.append(ratio * np.sqrt(max(float(variance[k]), 1e-12)) * (distance / noise.distance) ** old)
-    point = _independent_point(view.R, noise, axes, r * noise.relative(away) * np.repeat(sigmas, 3))
-    lateral, depth, tilt, roll = found
-    length, angle = (float(np.sqrt((2 * a**2 + b**2) / 3)) for a, b in ((lateral, depth), (tilt, roll)))
-    ratios = (lateral / length, depth / length, tilt / angle, roll / angle)
-    made = CameraNoise(ratios, (growth[0], growth[1], growth[2], growth[3]), distance, point)
-    return made, (sigmas[0] * length, sigmas[1] * angle)
-
-
-def _independent_point(R: Array, noise: CameraNoise, axes: Array, e: Array) -> tuple[float, float, float]:
-    """Return the point of the target whose place errs independently of its orientation [m].
-
-    It is the target's origin unless the residuals clearly show another one, such as the middle of a
-    board whose origin is its first corner.
-
-    R : orientations of the target in the camera, shape (n, 3, 3)
-    axes : as of `lines_of_sight`; e : residuals along them, shape (n, 6) [m, rad]
-    """
+    e = r * noise.relative(away) * np.repeat(sigmas, 3)
     before = np.array(noise.point)
     # A rotation by w moves a point that is further by b by w x b.
-    unit = noise.relative(np.full(len(R), noise.distance))[:, :3].ravel()
-    J = (axes @ crossing(np.einsum("nji,nj->ni", axes, e[:, 3:])) @ R).reshape(-1, 3) / unit[:, None]
+    unit = noise.relative(np.full(len(view.R), noise.distance))[:, :3].ravel()
+    turned = np.einsum("nji,nj->ni", axes, e[:, 3:])
+    J = (axes @ crossing(turned) @ view.R).reshape(-1, 3) / unit[:, None]
     y = e[:, :3].ravel() / unit
     origin = y - J @ before
     b = -np.linalg.lstsq(J, origin, rcond=None)[0]
     # By the likelihood ratio of three more parameters, with a probability of 0.1 % by chance.
     gain = len(y) * np.log(max(float(origin @ origin), 1e-30) / max(float((origin + J @ b) @ (origin + J @ b)), 1e-30))
-    return (float(b[0]), float(b[1]), float(b[2])) if gain > 16.3 else (0.0, 0.0, 0.0)
+    point = (float(b[0]), float(b[1]), float(b[2])) if gain > 16.3 else (0.0, 0.0, 0.0)
+    lateral, depth, tilt, roll = found
+    length, angle = (float(np.sqrt((2 * a**2 + b**2) / 3)) for a, b in ((lateral, depth), (tilt, roll)))
+    ratios = (lateral / length, depth / length, tilt / angle, roll / angle)
+    made = CameraNoise(ratios, (growth[0], growth[1], growth[2], growth[3]), distance, point)
+    return made, (sigmas[0] * length, sigmas[1] * angle)

@@ -319,10 +319,7 @@ class Columns:
         ]
 
     def _rows_of(self, good: pd.DataFrame) -> tuple[int, ...]:
-        """Return the lines of the rows that are not all True; () if these are more than half.
-
-        good : True where a cell is usable, a row per row of the table
-        """
+        """Return the lines of the rows that are not all True; () if these are more than half."""
         bad = ~good.all(axis=1).to_numpy(dtype=bool)
         return tuple(int(k) for k in self.row[bad]) if 2 * bad.sum() <= len(bad) else ()
 

@@ -106,8 +106,23 @@ class Images(NamedTuple):
 
         They start from a homography, and from its mirror image about the line of sight (Schweighofer and Pinz 2006).
         """
+        from scipy.spatial.transform import Rotation
+
         first = np.stack([self._start(k) for k in range(len(self.corners))])
-        starts = [self._fitted(first, 6), self._fitted(_mirrored(first, self.middle), 6)]
+        place = first[:, :3, 3] + first[:, :3, :3] @ self.middle
+        line = place / np.linalg.norm(place, axis=1)[:, None]
+        normal = first[:, :3, 2]
+        # Two rotations by the angle from the normal to the line make the mirror image.
+        toward = line * np.sign((line * normal).sum(axis=1))[:, None]
+        axis = np.cross(normal, toward)
+        sine = np.linalg.norm(axis, axis=1)
+        angle = 2 * np.arctan2(sine, (normal * toward).sum(axis=1))
+        axis /= np.maximum(sine, 1e-9)[:, None]
+        turn = Rotation.from_rotvec(axis * angle[:, None]).as_matrix()
+        mirrored = first.copy()
+        mirrored[:, :3, :3] = turn @ first[:, :3, :3]
+        mirrored[:, :3, 3] = place - mirrored[:, :3, :3] @ self.middle
+        starts = [self._fitted(first, 6), self._fitted(mirrored, 6)]
         cost = [(self.residuals(T)[0] ** 2).sum(axis=1) for T in starts]
         T = self._fitted(np.where((cost[0] <= cost[1])[:, None, None], *starts), 30)
         return T, self._replace(root=self.reduced(T)[0])
@@ -167,22 +182,3 @@ def _moved(T: Array, step: Array) -> Array:
     moved[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ T[:, :3, :3]
     moved[:, :3, 3] += step[:, :3]
     return moved
-
-
-def _mirrored(T: Array, middle: Array) -> Array:
-    """Return the poses, (n, 4, 4), with the board's normal mirrored about the line of sight to its middle."""
-    from scipy.spatial.transform import Rotation
-
-    place = T[:, :3, 3] + T[:, :3, :3] @ middle
-    line = place / np.linalg.norm(place, axis=1)[:, None]
-    normal = T[:, :3, 2]
-    # Two rotations by the angle from the normal to the line make the mirror image.
-    toward = line * np.sign((line * normal).sum(axis=1))[:, None]
-    axis = np.cross(normal, toward)
-    sine = np.linalg.norm(axis, axis=1)
-    angle = 2 * np.arctan2(sine, (normal * toward).sum(axis=1))
-    turn = Rotation.from_rotvec(axis / np.maximum(sine, 1e-9)[:, None] * angle[:, None]).as_matrix()
-    mirrored = T.copy()
-    mirrored[:, :3, :3] = turn @ T[:, :3, :3]
-    mirrored[:, :3, 3] = place - mirrored[:, :3, :3] @ middle
-    return mirrored

@@ -1,7 +1,7 @@
 """Derived columns that effects use, from readings, time, temperature and order of measuring."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from itertools import accumulate
 
@@ -74,12 +74,30 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
     if lag := re.fullmatch(r"warmth_(\d+)s", name):
         return _warmth(m, float(lag[1]), order)
     if heat := re.fullmatch(r"heat(\d+)_(\d+)s", name):
-        return _heat(m, int(heat[1]), float(heat[2]), order, loads)
+        joint, seconds = int(heat[1]), float(heat[2])
+        time = m.conditions.get(TIME_COLUMN)
+        if loads is None or time is None or not 1 <= joint <= m.q.shape[1] or not seconds:
+            return None
+        square = np.nan_to_num(loads(m.q, m.conditions)[:, joint - 1]) ** 2
+        return _in_row_order(_lagged(square[order], time[order], seconds), order)
     # Pattern of a whole number of millimetres in a column's name; "m" stands for a minus sign.
     integer_mm = r"(m?\d+)"
     if station := re.fullmatch(rf"head_{integer_mm}_{integer_mm}_{integer_mm}mm", name):
-        return _head_rotation_sense(m, [1e-3 * float(mm.replace("m", "-")) for mm in station.groups()], order)
-    for pattern, of_joint in _JOINT_COLUMNS.items():
+        if m.position is None or not m.position.any():  # of several tables together
+            return None
+        at_mm = [float(mm.replace("m", "-")) for mm in station.groups()]
+        beam = m.position[order] - 1e-3 * np.array(at_mm)
+        turns = np.diff(np.unwrap(np.arctan2(beam[:, 1], beam[:, 0])), prepend=0.0)
+        turns[0] = 0.0
+        return _in_row_order(last_sense(turns * np.hypot(beam[:, 0], beam[:, 1]), MIN_WAY_M), order)
+    # Moves below 1e-9 are rounding of one reading, not motion; lengths in names are in mrad or mm.
+    of_joints: Mapping[str, Callable[..., Array]] = {
+        r"approach(\d+)": lambda q: last_sense(_moves(q), 1e-9),
+        r"move(\d+)": _moves,
+        r"memory(\d+)_(\d+)mrad": _memory,
+        r"play(\d+)_(\d+)mrad": _play,
+    }
+    for pattern, of_joint in of_joints.items():
         if match := re.fullmatch(pattern, name):
             joint, *way = map(int, match.groups())
             exists = 1 <= joint <= m.q.shape[1]
@@ -131,37 +149,6 @@ def _lagged(felt: Array, time: Array, lag: float) -> Array:
     return behind
 
 
-def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | None) -> Array | None:
-    """Return the square of a joint's relative load after a first-order lag, shape (n,).
-
-    It is proportional to the ohmic heat of the joint's motor. Loads that are NaN (a joint without
-    a load) count as zero. None is returned if the column cannot be derived.
-
-    joint : number, from 1; lag : time constant [s]; order : rows in the order of measuring
-    """
-    if loads is None or TIME_COLUMN not in m.conditions or not 1 <= joint <= m.q.shape[1] or not lag:
-        return None
-    square = np.nan_to_num(loads(m.q, m.conditions)[:, joint - 1]) ** 2
-    return _in_row_order(_lagged(square[order], m.conditions[TIME_COLUMN][order], lag), order)
-
-
-def _head_rotation_sense(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
-    """Return the sense of the head's last rotation about z, -1, 0 or 1, in row order, shape (n,).
-
-    None where no positions were measured, or where they are of several tables together. Rotations
-    that displace the beam by less than `MIN_WAY_M` are ignored.
-
-    station : position of the head in the measuring frame, shape (3,) [m]; order : rows in the order
-        of measuring
-    """
-    if m.position is None or not m.position.any():  # of several tables together
-        return None
-    beam = m.position[order] - np.array(station)
-    turns = np.diff(np.unwrap(np.arctan2(beam[:, 1], beam[:, 0])), prepend=0.0)
-    turns[0] = 0.0
-    return _in_row_order(last_sense(turns * np.hypot(beam[:, 0], beam[:, 1]), MIN_WAY_M), order)
-
-
 def _moves(q: Array) -> Array:
     """Return the changes of a joint's variable q, (n,), since the pose before, (n,), first 0."""
     return np.diff(q, prepend=q[0])
@@ -206,17 +193,6 @@ def _play(q: Array, half: float) -> Array:
     """
     taken = accumulate(q, lambda state, reading: float(np.clip(state, reading - half, reading + half)))
     return np.array([*taken])
-
-
-# Pattern of a joint's derived column -> function that computes it from the joint's variable in the
-# order of measuring and, if its name has one, from the length there [rad or m]. Moves below 1e-9
-# are rounding of one reading, not motion.
-_JOINT_COLUMNS: Mapping[str, Callable[..., Array]] = {
-    r"approach(\d+)": lambda q: last_sense(_moves(q), 1e-9),
-    r"move(\d+)": _moves,
-    r"memory(\d+)_(\d+)mrad": _memory,
-    r"play(\d+)_(\d+)mrad": _play,
-}
 
 
 def clock_faults(m: Measurements) -> tuple[str, ...]:

@@ -381,12 +381,6 @@ def _refuse_malformed(m: Measurements) -> None:
         if bad.any():
             k = int(np.argmax(bad))
             raise InputError(f"{m.source}: row {m.row[k]}: {name} is {value[k]}; only finite numbers are allowed")
-    _refuse_weights(m)
-    _refuse_separations(m)
-
-
-def _refuse_weights(m: Measurements) -> None:
-    """Check that sigmas are positive and weights are not negative. Raises InputError."""
     for name in ("sigma", "sigma_angle", "separation_sigma", "datasheet"):
         size = getattr(m, name)
         if size is not None and not 0 < size < np.inf:
@@ -401,10 +395,6 @@ def _refuse_weights(m: Measurements) -> None:
         raise InputError(
             f"{m.source}: no pose counts: column 'weight' is zero in every row, or a way has no pose before it"
         )
-
-
-def _refuse_separations(m: Measurements) -> None:
-    """Check the given distances between touched points. Raises InputError."""
     present = set() if m.label is None else {str(name) for name in m.label}
     if m.separations and not find_kind(m.kind).places:
         first, second, _ = m.separations[0]

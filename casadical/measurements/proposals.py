@@ -144,7 +144,17 @@ def understand(
     ours = {*raw.header, *assigned}
     own = {int(m[1]) for h in ours if (m := re.fullmatch(r"q(\d+)_(deg|rad|mm|m)", h))}
     headings = headings_of(raw, chain)
-    stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
+    units: dict[str, str] = {}
+    # A comment or title that states the units of the table.
+    unit_line = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
+    for line in [*raw.comments, *(text for _, text in raw.form.skipped)]:
+        match = unit_line.search(unicodedata.normalize("NFKC", line))
+        for word in re.findall(r"[^\s,;:/()\[\]]+", match[1].casefold()) if match else ():
+            if word in UNITS:
+                quantity = {"mm": "length", "m": "length", "deg": "angle", "rad": "angle"}.get(UNITS[word][0])
+                if quantity:
+                    units.setdefault(quantity, word)
+    stated = units
     # A table without headings of just the readings and a position, perhaps with a matrix, needs no
     # robot to be understood.
     layout = "" if raw.form.header_line else "layout"
@@ -173,7 +183,15 @@ def understand(
     without_readings = bool({*free} - own)
     if without_readings:
         open_joints = [i for i in free if i not in own]
-        groups = _joints(headings, len(chain), open_joints, _names_in_cells(raw, [j.name for j in chain]), own)
+        names = [j.name for j in chain]
+        joint_of = {}
+        for heading in raw.header:
+            numbers = re.findall(r"\d+", heading)
+            if len(numbers) == 1 and "name" in words_of(heading)[0]:
+                cells = {str(cell) for cell in raw.frame[heading]}
+                if len(cells) == 1 and cells <= {*names}:
+                    joint_of[str(int(numbers[0]))] = 1 + [*names].index(cells.pop())
+        groups = _joints(headings, len(chain), open_joints, joint_of, own)
         unknown = not (groups or own)  # where some readings are named, the others are missing
         if unknown:
             some = numbered(raw, len(free), taken)
@@ -215,10 +233,7 @@ def understand(
 
 
 def _conditions(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Yield temperature and payload, each if exactly one heading names it.
-
-    ours : casadical's names that the table has already
-    """
+    """Yield temperature and payload, each if exactly one heading names it."""
     for quantity, (name, unit) in CONDITION_COLUMNS.items():
         named = [h for h in headings if h.quantity == quantity and not h.rest and UNITS.get(h.unit, (unit,))[0] == unit]
         if len(named) == 1 and name not in ours and np.isfinite(named[0].values).all():
@@ -230,8 +245,6 @@ def _times(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Under
     """Yield the column time_s, if one heading names the time, or two its seconds and nanoseconds.
 
     The unit of time stamps without one follows from their size.
-
-    ours : casadical's names that the table has already
     """
     named = [h for h in headings if h.quantity == "time" and not h.rest and UNITS.get(h.unit, ("s",))[0] == "s"]
     named = [h for h in named if np.isfinite(h.values).all()]
@@ -338,7 +351,6 @@ def _joints(
     n : number of joints; free : numbers of those that need a reading, as they follow no other
     own : numbers of joints with readings under casadical's own names, which are omitted; with any,
         only headings that are names of joints count for the others
-    order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
     groups: dict[tuple[str, frozenset[str]], dict[int, Heading]] = {}
     for h in sorted(headings, key=lambda h: h.led is not None):  # a joint's own column ranks first
@@ -366,23 +378,6 @@ def _joints(
     return best_of(ranked)
 
 
-def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
-    """Return column number -> joint (from 1), where columns such as `name[0]` hold joint names.
-
-    ROS writes JointState messages in this way. Empty where there are no such columns.
-
-    names : of the robot's joints
-    """
-    joint_of = {}
-    for heading in raw.header:
-        numbers = re.findall(r"\d+", heading)
-        if len(numbers) == 1 and "name" in words_of(heading)[0]:
-            cells = {str(cell) for cell in raw.frame[heading]}
-            if len(cells) == 1 and cells <= {*names}:
-                joint_of[str(int(numbers[0]))] = 1 + [*names].index(cells.pop())
-    return joint_of
-
-
 def _parts_of(group: Mapping[int, Heading], chain: Sequence[Joint]) -> _Parts:
     """Return the readings of revolute and of prismatic joints, and of leaders, as separate parts.
 
@@ -402,8 +397,6 @@ def _frames(raw: RawTable, taken: Collection[str] = ()) -> _Options:
     They are 4x4 or 3x4 by the indices in their headings (n, o, a, p for the columns, too), or 12 or
     16 numbered columns; the values show where rotation and translation are. Six or seven columns
     with numbered headings are a position and an orientation.
-
-    taken : headings that are not considered
     """
     grids: dict[str, dict[tuple[int, int], str]] = {}
     for name in raw.header:
@@ -474,9 +467,6 @@ def _observations(
 
     If only positions or only lengths are marked as measured, the others are dropped. The topic is
     empty unless both remain.
-
-    positions, lengths : groups of columns, of three and of one
-    frames : possible meanings of homogeneous matrices
     """
     whole = [{h.name for members, _, _ in parts for h in members} for _, parts in frames]
     positions = [g for g in positions if not any({h.name for h in g} <= names for names in whole)]
@@ -489,10 +479,7 @@ def _observations(
 
 
 def _orientation(headings: Sequence[Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
-    """Return the possible meanings of the orientation, the question, and its topic (`about`).
-
-    headings : columns that are free; taken : names of columns in use
-    """
+    """Return the possible meanings of the orientation, the question, and its topic (`about`)."""
     which = "Which columns are the orientation?"
     turns = groups_of(headings, "turn", "xyz")
     named = [g for g in numbered(raw, 3, taken) if {*words_of(g[0].name)[0]} & WORDS["rotation"]]
@@ -533,7 +520,6 @@ def _listed(group: Iterable[Heading]) -> str:
 def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[str, list[Understood]]:
     """Return a dict: possible meaning in words, with its units -> columns that it implies.
 
-    stated : unit of lengths and angles, where a comment states it
     asked : the question, if it is asked even for a single option; without it the choices of a
         single option are its units
     """
@@ -587,10 +573,7 @@ def _by_unit(
 
 
 def _of_leader(heading: Heading, name: str, unit: str) -> tuple[str, Source]:
-    """Return casadical's column of a joint, in rad or m, and how it is computed from its leader's.
-
-    name : of the column, without unit; unit : word of the unit of the leader's column
-    """
+    """Return casadical's column of a joint, in rad or m, and how it follows from its leader's."""
     assert heading.led
     kind, _, factor, offset = heading.led
     ours, scale = UNITS[unit]
@@ -617,18 +600,3 @@ def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
     spread = float(np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0)))
     # The positions of a robot spread over more than 30 mm and less than 10 m.
     return ("m", len(values) >= min_rows_for_unit) if spread < 10.0 else ("mm", spread > 30.0)
-
-
-def _stated_units(lines: Sequence[str]) -> dict[str, str]:
-    """Return quantity ("length", "angle") -> word of the unit that comments or titles state."""
-    units: dict[str, str] = {}
-    # A comment or title that states the units of the table.
-    unit_line = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
-    for line in lines:
-        match = unit_line.search(unicodedata.normalize("NFKC", line))
-        for word in re.findall(r"[^\s,;:/()\[\]]+", match[1].casefold()) if match else ():
-            if word in UNITS:
-                quantity = {"mm": "length", "m": "length", "deg": "angle", "rad": "angle"}.get(UNITS[word][0])
-                if quantity:
-                    units.setdefault(quantity, word)
-    return units

@@ -17,16 +17,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from casadical.core import reading
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import (
-    MAX_TABLE_NUMBERS,
-    MAX_WORKBOOK_CELLS,
-    archive_of,
-    foreign,
-    read_bytes,
-    text_fault,
-    unpacked,
-)
 from casadical.measurements import table_form
 from casadical.measurements.array_files import ARRAY_FILES, table_of_arrays
 
@@ -73,7 +65,7 @@ def _refuse_header(header: Sequence[str], path: Path) -> None:
                 f"{path}: the heading of column {k} has {len(name)} characters, {name[:30]!r}...; "
                 f"allowed: up to {max_heading_characters}; is it a table?"
             )
-        if fault := text_fault(name):
+        if fault := reading.text_fault(name):
             raise InputError(f"{path}: the heading of column {k} {fault}")
 
 
@@ -92,11 +84,11 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
     cells than the header.
     """
     path = Path(path)
-    packed = read_bytes(path) if data is None else data
+    packed = reading.read_bytes(path) if data is None else data
     if path.suffix.lower() == ".parquet":
         raw = _parquet(path, packed)
         return replace(raw, cells=_texts(raw.frame)) if keep_text else raw
-    data = unpacked(packed, str(path))
+    data = reading.unpacked(packed, str(path))
     if path.suffix.lower() in ARRAY_FILES:
         table, said = table_of_arrays(path, data)
         refuse_many(path, table.size)
@@ -139,7 +131,7 @@ def _texts(frame: pd.DataFrame) -> list[list[str]]:
     return cells
 
 
-def refuse_many(path: str | Path, numbers: int, most: int = MAX_TABLE_NUMBERS, remedy: str = "") -> None:
+def refuse_many(path: str | Path, numbers: int, most: int = reading.MAX_TABLE_NUMBERS, remedy: str = "") -> None:
     """Refuse a table that is too large for memory.
 
     numbers : of the table, rows times columns; remedy : end of the message
@@ -181,7 +173,10 @@ def _parquet(path: Path, data: bytes) -> RawTable:
     data : content of the file. Raises InputError: it is unreadable, too large or empty.
     """
     parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[logs]'")
-    with foreign(f"{path}: not a readable table", "write it again"), parquet.ParquetFile(io.BytesIO(data)) as file:
+    with (
+        reading.foreign(f"{path}: not a readable table", "write it again"),
+        parquet.ParquetFile(io.BytesIO(data)) as file,
+    ):
         refuse_many(path, file.metadata.num_rows * len(file.schema_arrow.names))
         table = file.read()
         refuse_many(path, table.nbytes // 8)  # lists and texts, too
@@ -202,8 +197,8 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
     """
     needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
     openpyxl = optional("openpyxl", needed)
-    content, best, cells = archive_of(data, str(path)), ("", "", -1), 0
-    with foreign(f"{path}: not a readable workbook"):
+    content, best, cells = reading.archive_of(data, str(path)), ("", "", -1), 0
+    with reading.foreign(f"{path}: not a readable workbook"):
         with zipfile.ZipFile(content) as archive:  # openpyxl reads a sheet to its end before it gives the first row
             for name in archive.namelist():
                 if name.endswith(".xml"):
@@ -223,8 +218,8 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
 
 def _refuse_cells(path: Path, cells: int) -> None:
     """Check the number of cells of a workbook. Raises InputError: too many."""
-    if cells > MAX_WORKBOOK_CELLS:
-        raise InputError(f"{path}: has more than {MAX_WORKBOOK_CELLS} cells; save what was measured as CSV")
+    if cells > reading.MAX_WORKBOOK_CELLS:
+        raise InputError(f"{path}: has more than {reading.MAX_WORKBOOK_CELLS} cells; save what was measured as CSV")
 
 
 def _cell(value: Any) -> str:
@@ -300,8 +295,6 @@ def _headings(
     """Return the index in `rest` of the table's first row, and the records of headings and units.
 
     A record is None where there are no headings or no row of units.
-
-    rest : all records that are no comments; comments : the others
     """
     first = next((k for k, (_, cells) in enumerate(rest) if table_form.is_data(cells)), None)
     if first is None:  # rows of words, lists and single numbers

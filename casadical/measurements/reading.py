@@ -47,20 +47,10 @@ def read_measurements(
     """
     sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in (columns or {}).items()}
     raw = long(read_table(path, keep_text=False), [name for name, _ in columns_used(sources)])
-    named = Columns.of_file(raw).mapped(_sources(raw, joints, columns or {}, kind), point_from)
-    return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
-
-
-def _sources(
-    raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], kind: str | None
-) -> dict[str, str | Source]:
-    """Return casadical's column name -> its source, as `columns` says, else as the headings say.
-
-    Raises InputError where the headings leave a question.
-    """
-    meaning = understand(raw, _kinds(joints, raw.path.name), columns, kind=kind).in_usual_order
+    meaning = understand(raw, _kinds(joints, raw.path.name), sources, kind=kind).in_usual_order
     refuse_open(raw, meaning)
-    return {**meaning.sources, **columns}
+    named = Columns.of_file(raw).mapped({**meaning.sources, **sources}, point_from)
+    return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 
 
 def refuse_open(raw: RawTable, meaning: Understanding) -> None:
@@ -142,10 +132,7 @@ def from_columns(
 
 
 def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
-    """Return the kind of each joint, revolute or prismatic. Raises InputError.
-
-    joints : their number, if all are revolute, or their kinds
-    """
+    """Return the kind of each joint, revolute or prismatic. Raises InputError."""
     kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
     if not kinds or set(kinds) - {"revolute", "prismatic"}:
         raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")

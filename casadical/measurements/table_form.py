@@ -74,13 +74,9 @@ def decoded(data: bytes) -> tuple[str, str]:
     texts.
     """
     # Byte order mark at the beginning of a file -> its encoding.
-    byte_order_marks = {
-        codecs.BOM_UTF8: "utf-8-sig",
-        codecs.BOM_UTF32_LE: "utf-32",
-        codecs.BOM_UTF32_BE: "utf-32",
-        codecs.BOM_UTF16_LE: "utf-16",
-        codecs.BOM_UTF16_BE: "utf-16",
-    }
+    byte_order_marks = {codecs.BOM_UTF8: "utf-8-sig"}
+    byte_order_marks |= dict.fromkeys((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "utf-32")
+    byte_order_marks |= dict.fromkeys((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE), "utf-16")
     name = next((name for mark, name in byte_order_marks.items() if data.startswith(mark)), "utf-8")
     if name == "utf-8" and b"\0" in data[:1000]:
         name = "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"

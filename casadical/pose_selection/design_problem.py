@@ -93,8 +93,6 @@ def _rows(
 
     It is in standard deviations of the noise per unit of scale. `numbers` are read at each pose, 3
     without an instrument; the unknowns are the coordinates of its places.
-
-    names : the p parameters
     """
     if instrument is not None:
         return instrument.rows(robot, names, m, noise)
@@ -131,7 +129,18 @@ def prepare(
     workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    _refuse_combination(instrument, measured=measured is not None, given=candidates is not None)
+    if instrument is not None and measured is not None:
+        raise InputError(
+            f"poses measured before are counted with positions alone, not with {instrument.kind}: "
+            "plan with the robot file that calibrate --out wrote"
+        )
+    if instrument is not None and instrument.kind == "sockets":
+        if candidates is not None:
+            raise InputError(
+                "sockets: poses that hold the tool in them are computed, and are no candidates to be given"
+            )
+        if instrument.surveyed:
+            raise InputError("sockets are identified together with the robot; only wires may have measured places")
     q, conditions_at = _readings(robot, candidates, workspace, pool, rng, instrument)
     ready = candidates_at(robot, q, circumstances, n, rng)
     conditions_at = {name: which[:, None] * np.ones(ready.size) for name, which in conditions_at.items()}
@@ -173,7 +182,14 @@ def prepare(
     J = jacobian_of(robot, names, goal, instrument)
     # The task's mean J'J and, with equal weight, the parameters of interest, both normalised by
     # the covariance from as many random poses.
-    chosen, C = _weights_of_interest(robot, interest, names), inverse(information(names))[:p, :p]
+    words = tuple(interest)
+    hit = robot.parameters.select(words) if words else ()
+    lost = [n for n in hit if n not in names]
+    if lost and len(lost) == len(hit):
+        raise InputError(f"no poses would determine {', '.join(lost)}: see what it is confounded with")
+    parameters = [robot.parameters[n] for n in names]
+    chosen = np.array([(p.scale / p.prior) ** 2 if p.name in hit else 0.0 for p in parameters])
+    C = inverse(information(names))[:p, :p]
     weight[:p, :p] = np.einsum("kip,kiq->pq", J, J) / len(J)
     if chosen.any():
         of_task, of_interest = weight[:p, :p], np.diag(chosen)
@@ -208,25 +224,6 @@ def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument:
     return J if instrument is None or instrument.surveyed else without_base(robot, J, m)
 
 
-def _refuse_combination(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
-    """Refuse an instrument with poses measured before, and sockets with candidates or surveyed.
-
-    measured, given : whether there are poses measured before, and given candidates
-    Raises InputError.
-    """
-    if instrument is None:
-        return
-    if measured:
-        raise InputError(
-            f"poses measured before are counted with positions alone, not with {instrument.kind}: "
-            "plan with the robot file that calibrate --out wrote"
-        )
-    if given and instrument.kind == "sockets":
-        raise InputError("sockets: poses that hold the tool in them are computed, and are no candidates to be given")
-    if instrument.surveyed and instrument.kind == "sockets":
-        raise InputError("sockets are identified together with the robot; only wires may have measured places")
-
-
 def _readings(
     robot: Robot,
     given: Array | None,
@@ -249,40 +246,24 @@ def _readings(
         if len(np.unique(which)) < len(instrument.places):
             reachable_places(robot, instrument.places, len(instrument.places), workspace, rng)
         return q, {SOCKET_COLUMN: which}
-    return draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace), {}
+    if given is None:
+        return draw(robot, pool, workspace, rng, to_ends=True), {}
+    return _allowed(robot, given, workspace), {}
 
 
-def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Array:
-    """Return the inverse prior variances of parameters of interest, zero for others, shape (p,).
-
-    They are in units of scale.
-
-    interest : names, groups, labels or patterns; names : the p parameters that will be identified
-    Raises InputError: none of the parameters of interest will be identified.
-    """
-    words = tuple(interest)
-    hit = robot.parameters.select(words) if words else ()
-    lost = [n for n in hit if n not in names]
-    if lost and len(lost) == len(hit):
-        raise InputError(f"no poses would determine {', '.join(lost)}: see what it is confounded with")
-    parameters = [robot.parameters[n] for n in names]
-    return np.array([(p.scale / p.prior) ** 2 if p.name in hit else 0.0 for p in parameters])
-
-
-def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
+def _allowed(robot: Robot, given: Array, workspace: Workspace) -> Array:
     """Return the given joint variables that the workspace allows, shape (k, joints) [rad or m].
 
-    q : shape (N, joints) [rad or m]
     Raises InputError: another shape, or none is allowed.
     """
-    q = np.atleast_2d(np.asarray(q, dtype=float))
+    q = np.atleast_2d(np.asarray(given, dtype=float))
     if q.ndim != 2 or q.shape[1] != robot.n or not np.isfinite(q).all():
         raise InputError(f"candidates of shape {q.shape}; allowed: (poses, {robot.n}) finite readings [rad or m]")
     allowed = q[workspace.allows(robot, q)]
     if not len(allowed):
         refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
         raise InputError(f"none of the {len(q)} candidates is allowed: {refused}; widen the workspace")
-    return np.asarray(allowed)
+    return allowed
 
 
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:

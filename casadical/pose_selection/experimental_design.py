@@ -14,9 +14,6 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Information added to each parameter, as a share of its mean information per candidate (with the
-# fixed information); it keeps the information matrix of few poses invertible.
-RIDGE_OF_MEAN_INFORMATION = 1e-10
 # Smallest ratio of the information's determinants without and with a pose at which the pose may be
 # removed. Poses below are indispensable; rounding decides how far below, so all count alike.
 MIN_DETERMINANT_RATIO = 1e-6
@@ -43,7 +40,8 @@ class Design:
         self.N, self.m, self.p = rows.shape
         flat = rows.reshape(-1, self.p)
         whole = flat.T @ flat + fixed
-        self.fixed = fixed + RIDGE_OF_MEAN_INFORMATION * np.diag(np.diag(whole)) / self.N
+        # A share of the mean information per candidate keeps that of few poses invertible.
+        self.fixed = fixed + 1e-10 * np.diag(np.diag(whole)) / self.N
         self.places, self.apart = places, max(apart, 1e-9) if apart >= 0 else apart
         self._taken = sum((self._near(place) for place in occupied), np.zeros(self.N, dtype=int))
         self.start([])

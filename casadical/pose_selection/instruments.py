@@ -6,7 +6,7 @@ minus that point. Places that were not measured are further columns after those 
 three coordinates each; they are located relative to the robot, not the other way round.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb
@@ -189,29 +189,21 @@ def best_places(
     if comb(number, count) <= 20_000:
         sets = list(combinations(range(number), count))
         return np.array(sets[first_of_best([-variance(some) for some in sets])])
-    return np.array(sorted(_exchanged(number, count, variance)))
-
-
-def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -> list[int]:
-    """Return `count` indices below K with a small variance, found by exchanges.
-
-    The best pair is extended by the best additional ones, then single indices are exchanged as long
-    as this reduces the variance by more than 0.1 %.
-
-    variance : function of chosen indices
-    """
-    pairs = list(combinations(range(K), min(count, 2)))
+    # The best pair is extended by the best additional ones, then single places are exchanged as
+    # long as this reduces the variance by more than 0.1 %.
+    pairs = list(combinations(range(number), min(count, 2)))
     chosen = list(pairs[first_of_best([-variance(pair) for pair in pairs])])
     while len(chosen) < count:
-        unchosen = [k for k in range(K) if k not in chosen]
+        unchosen = [k for k in range(number) if k not in chosen]
         chosen.append(unchosen[first_of_best([-variance([*chosen, k]) for k in unchosen])])
     value = variance(chosen)
     while True:
-        others = [[*chosen[:i], k, *chosen[i + 1 :]] for i in range(count) for k in range(K) if k not in chosen]
+        free = [k for k in range(number) if k not in chosen]
+        others = [[*chosen[:i], k, *chosen[i + 1 :]] for i in range(count) for k in free]
         variances = [variance(other) for other in others]
         best = first_of_best(np.negative(variances))
         if variances[best] > 0.999 * value:
-            return chosen
+            return np.array(sorted(chosen))
         chosen, value = others[best], variances[best]
 
 

@@ -395,9 +395,22 @@ class MeasurementPlan(Result):
             assert plan.m.position is not None
             height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
             more |= {"below": int((height < 0).sum()), "lowest": -height.min()}
+            assert plan.task.position is not None
+            local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
+            error = plan.expected_error()
+            height, _ = thirds(local[:, 2])
+            distance, _ = thirds(np.hypot(local[:, 0], local[:, 1]))
+            rows = []
+            for k, name in ((2, "high"), (1, "middle"), (0, "low")):
+                cells = [error[(height == k) & (distance == i)] for i in range(3)]
+                rows.append((name, *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells)))
             more |= {
                 "travel": np.rad2deg(travel(plan.robot, plan.q)),
-                "tables": [*_errors(plan, True), _map(plan), *_errors(plan, False)],
+                "tables": [
+                    *_errors(plan, True),
+                    Table("Expected error [mm]", ("point", "near", "middle", "far"), rows, frozenset({1, 2, 3})),
+                    *_errors(plan, False),
+                ],
             }
         return self._report_blocks(**more)
 
@@ -435,23 +448,6 @@ class MeasurementPlan(Result):
             where = pd.DataFrame((1e3 * self.instrument.places).round(1), columns=["x_mm", "y_mm", "z_mm"])
             texts[path.with_suffix(".places.csv")] = where.to_csv(index=False, float_format="%.6g")
         return texts
-
-
-def _map(plan: Selection) -> Table:
-    """Return the table of expected rms errors [mm] by thirds of height and of distance.
-
-    Both are of the task's points in the robot's base frame; the distance is from its z axis.
-    """
-    assert plan.task.position is not None
-    local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
-    error = plan.expected_error()
-    height, _ = thirds(local[:, 2])
-    distance, _ = thirds(np.hypot(local[:, 0], local[:, 1]))
-    rows = []
-    for k, name in ((2, "high"), (1, "middle"), (0, "low")):
-        cells = [error[(height == k) & (distance == i)] for i in range(3)]
-        rows.append((name, *(f"{1e3 * np.sqrt(np.mean(c**2)):.4f}" if len(c) else "-" for c in cells)))
-    return Table("Expected error [mm]", ("point", "near", "middle", "far"), rows, frozenset({1, 2, 3}))
 
 
 def _errors(plan: Selection, of_effects: bool) -> list[Table]:

@@ -326,11 +326,9 @@ def with_knowledge(found: Identification) -> Robot:
     Robots with effects have their covariance already; to others it is added here, with its misfit
     factor.
     """
-    robot = (
-        found.robot
-        if found.robot.effects
-        else replace(found.robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
-    )
+    robot = found.robot
+    if not robot.effects:
+        robot = replace(robot, knowledge=replace(found.knowledge, misfit=misfit_of(found)))
     with suppress(InputError):
         return replace(robot, remaining=learn_remaining(found))
     return robot
@@ -430,10 +428,7 @@ def _without_camera_errors(problem: Problem) -> tuple[Problem, ArmOrCamera | Non
 
 
 def _refitted(problem: Problem, results: Mapping[str, Identification], show: Show) -> dict[str, Identification]:
-    """Return the identifications from all poses, by method; {} without refit, or with networks.
-
-    results : identifications from the set identify, by method
-    """
+    """Return the identifications from all poses, by method; {} without refit, or with networks."""
     if not problem.whole or problem.networks:
         return {}
     whole = replace(
@@ -467,12 +462,9 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     # The fitted poses may be too few to show a compliance that all poses show.
     if problem.whole and lacks_declared_compliance(robot) and not (final.tried and final.tried.kept):
         tried = with_compliance_if_supported(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
-        with suppress(InputError, ConvergenceError):
-            final = (
-                replace(by(with_all_joints_compliant(robot, sets)[0], sets), tried=tried)
-                if tried and tried.kept
-                else final
-            )
+        if tried and tried.kept:
+            with suppress(InputError, ConvergenceError):
+                final = replace(by(with_all_joints_compliant(robot, sets)[0], sets), tried=tried)
     results: dict[str, Identification] = {}
     for method in others:
         prepared = prepare(robot, sets, problem.prior, method=method)

@@ -35,15 +35,6 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project import outcome
 from casadical.project.networks import Networks
-from casadical.project.outcome import (
-    Accuracies,
-    error_tables,
-    judged_on,
-    network_tables,
-    outlier_table,
-    paper_tables,
-    report_blocks,
-)
 from casadical.project.problem import Problem
 from casadical.robot.robot import Robot
 
@@ -117,10 +108,7 @@ def _models(
 
 
 def _errors_of(model: str, robot: Robot, m: Measurements) -> ModelErrors:
-    """Return one robot's errors at the poses m, with error vectors where positions were measured.
-
-    model : name of the robot in figures
-    """
+    """Return one robot's errors at the poses m, with vectors where positions were measured."""
     vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
     return ModelErrors(model, errors(robot, m), vector)
 
@@ -237,7 +225,7 @@ def training_history(networks: Networks) -> Figure:
 def calibration_page(
     problem: Problem,
     results: Identifications,
-    accuracies: Accuracies,
+    accuracies: outcome.Accuracies,
     networks: Networks | None,
     figures: Mapping[str, Figure],
     camera: Sequence[Words] = (),
@@ -251,7 +239,9 @@ def calibration_page(
     from casadical.project.reporting import problem_files
 
     last = list(results.values())[-1]
-    errors = [*outlier_table(problem, results), *error_tables(problem, accuracies, networks)]
+    errors = outcome.error_tables(problem, accuracies, networks)
+    errors = [*outcome.outlier_table(problem, results), *errors]
+    paper = outcome.paper_tables(problem.paper, accuracies, networks)
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
     kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
     no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."
@@ -263,7 +253,7 @@ def calibration_page(
     diagnosis_arguments = "CAMPAIGN.csv --report diagnosis.html"
     sections = [
         Section("Verdict", [*_verdict(problem, results, accuracies, networks)]),
-        Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),
+        Section("Errors before and after", [*errors, *paper]),
         Section("Error of each pose", each),
         Section("In the workspace", figures_named(figures, "workspace") or [Words(no_map, "note")]),
         Section("Arm or camera", [*camera, *figures_named(figures, "image")]),
@@ -275,7 +265,7 @@ def calibration_page(
         Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section(
             "Training of the networks",
-            [*network_tables(networks), *figures_named(figures, "training")] if networks else [],
+            [*outcome.network_tables(networks), *figures_named(figures, "training")] if networks else [],
         ),
         Section("What to measure next", [*_next(problem, last)]),
     ]
@@ -285,9 +275,9 @@ def calibration_page(
     return Page("Calibration", problem.title, subtitle, sections, tiles, badges, problem_files(problem))
 
 
-def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
+def _tiles(accuracies: outcome.Accuracies) -> Iterator[Tile]:
     """Yield the headline figures: mean error before and after, 95 % quantile and largest error."""
-    method, before, after, held_out = judged_on(accuracies)
+    method, before, after, held_out = outcome.judged_on(accuracies)
     poses = f"{after.n} held-out poses" if held_out else f"{after.n} poses, not held out"
     yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
     yield Tile(f"Mean error after {method}", mm(after.mean), "mm", poses)
@@ -296,10 +286,10 @@ def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
 
 
 def _verdict(
-    problem: Problem, results: Identifications, accuracies: Accuracies, networks: Networks | None
+    problem: Problem, results: Identifications, accuracies: outcome.Accuracies, networks: Networks | None
 ) -> Iterator[Block]:
     """Yield the sentences of the section "Verdict": accuracy, fit, networks, notes of the robot."""
-    yield from report_blocks(problem, accuracies, block="verdict")
+    yield from outcome.report_blocks(problem, accuracies, block="verdict")
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")

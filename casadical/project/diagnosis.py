@@ -109,7 +109,7 @@ def read_campaigns(
 
     folder : problem folder or robot file
     tables : tables in place of the folder's own
-    carried : function that puts the prior of another campaign into the robot (see `carried_from`)
+    carried : function that puts the prior of another campaign into the robot (see `carry_over`)
     together : whether all tables are one campaign
     readings_only : whether poses are planned, not measured
     Raises InputError for a table that cannot be used.

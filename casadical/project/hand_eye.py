@@ -14,9 +14,6 @@ from casadical.core.transforms import quaternion
 from casadical.identification.result import Identification
 from casadical.robot.robot import Robot
 
-# Where the camera is -> its parent frame, and the placement whose parameters have the transform.
-_PARENTS = {"in hand": ("flange", "tool"), "to base": ("base", "base")}
-
 
 @dataclass(frozen=True, eq=False)
 class HandEye(Shown):
@@ -86,7 +83,8 @@ def hand_eye_of(found: Identification, *, nominal: bool = False) -> HandEye | No
     camera = next((m.camera for m in found.measurements if m.orientation is not None), "")
     if not camera or found.robot.base.unknown != "pose":
         return None
-    parent, group = _PARENTS[camera]
+    # Its parent frame, and the placement whose parameters have the transform.
+    parent, group = {"in hand": ("flange", "tool"), "to base": ("base", "base")}[camera]
     robot, names, C = (
         (found.placed, *found.placed_covariance) if nominal else (found.robot, found.names, found.covariance)
     )

@@ -122,10 +122,7 @@ def _angles(a: Accuracy) -> tuple[str, str]:
 
 
 def _error_kind(problem: Problem, name: str) -> str:
-    """Return the quantity whose errors a set has, as text such as "position error".
-
-    name : SET or SET/KIND, as in the accuracies
-    """
+    """Return the quantity whose errors a set has, as text such as "position error"."""
     of_kind = {m.kind for part, m in problem.parts() if f"{part}/".startswith(f"{name}/")}
     kinds = {"position" if find_kind(kind).lengths == 3 else kind.replace("_", " ") for kind in of_kind}
     return "position error" if kinds == {"position"} else f"error of {' and '.join(sorted(kinds))}"

@@ -178,23 +178,6 @@ def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -
     )
 
 
-def calibrated_so_far(
-    robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str], prior: Prior | None = None
-) -> tuple[Robot, Measurements, Noise]:
-    """Return the robot calibrated with m, m with derived columns, and the noise.
-
-    noise : noise of the instrument; None: it is estimated from the fit
-    free : parameters to identify, and prior : as of `identify`
-    Raises InputError where a column that the effects need is missing.
-    """
-    m, missing = derive(m, robot.conditions, robot.loads)
-    lost = [name for name in missing if name != "payload_kg"]
-    if lost:
-        raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")
-    result = identify(robot, m, free, prior=prior)  # of the last session, if several
-    return result.robot, m, noise or Noise(result.sigmas[0][0])
-
-
 def plan_problem(
     path: Path,
     n: int | None,
@@ -292,7 +275,11 @@ def plan(
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects), *(prior.free if prior else ()))
     if measured is not None:
         show("calibrating with the poses measured so far")
-        robot, measured, noise = calibrated_so_far(robot, measured, noise, free, prior)
+        measured, missing = derive(measured, robot.conditions, robot.loads)
+        if lost := [name for name in missing if name != "payload_kg"]:
+            raise InputError(f"{measured.source}: column {lost[0]!r} is missing, which the effects to plan for need")
+        result = identify(robot, measured, free, prior=prior)  # of the last session, if several
+        robot, noise = result.robot, noise or Noise(result.sigmas[0][0])
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
     # Poses are planned for the first target alone.
     others = [] if measured is None else [t.column for t in robot.targets if t.column in measured.conditions]
@@ -305,50 +292,22 @@ def plan(
     mounted = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
     if effects and len(mounted) > 1 and not circumstances.payloads:
         circumstances = replace(circumstances, payloads=tuple(mounted))
+    common: dict[str, Any] = {"workspace": workspace, "free": free, "noise": noise, "seed": seed}
+    known: dict[str, Any] = {"circumstances": circumstances, "measured": measured, "prior": prior}
     chosen = None
     if n is not None:
         show("choosing poses")
         choose: Callable[..., Selection] = partial(select_poses, among=None) if places is None else places.select
-        chosen = choose(
-            robot,
-            n=n,
-            workspace=workspace,
-            circumstances=circumstances,
-            measured=measured,
-            interest=tuple(e.label for e in effects),
-            noise=noise,
-            free=free,
-            min_distance=min_distance,
-            seed=seed,
-            prior=prior,
-        )
+        interest = tuple(e.label for e in effects)
+        chosen = choose(robot, n=n, interest=interest, min_distance=min_distance, **common, **known)
     instrument = chosen.instrument if chosen else None
     if places is not None and instrument is None:
-        instrument = place_instrument(
-            robot,
-            places.kind,
-            places.candidates_for(robot),
-            places.count,
-            surveyed=places.surveyed,
-            workspace=workspace,
-            free=free,
-            noise=noise,
-            seed=seed,
-        )
+        how, where = common | {"surveyed": places.surveyed}, places.candidates_for(robot)
+        instrument = place_instrument(robot, places.kind, where, places.count, **how)
     show("accuracy of further poses")
     total = (0 if measured is None else len(measured)) + (0 if chosen is None else len(chosen))
-    ahead = forecast(
-        robot,
-        total + (100 if n is None else max(20, total // 2)),
-        workspace=workspace,
-        circumstances=circumstances,
-        measured=measured,
-        noise=noise,
-        free=free,
-        seed=seed,
-        instrument=instrument,
-        prior=prior,
-    )
+    most = total + (100 if n is None else max(20, total // 2))
+    ahead = forecast(robot, most, instrument=instrument, **common, **known)
     if chosen and order:
         chosen = chosen.ordered()
     return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())
@@ -401,19 +360,9 @@ def poses_of_changes(
     Raises InputError where the workspace allows too few poses.
     """
     workspace = read_workspace(room, robot) if room else None
-    chosen = select_poses(
-        robot,
-        None,
-        n,
-        workspace=workspace,
-        measured=measured,
-        free=prior.free,
-        noise=noise,
-        prior=prior,
-        seed=seed,
-        min_distance=0.05,
-    )
-    return chosen.table
+    known: dict[str, Any] = {"measured": measured, "free": prior.free, "prior": prior}
+    known |= {"workspace": workspace, "noise": noise, "seed": seed}
+    return select_poses(robot, None, n, min_distance=0.05, **known).table
 
 
 def iso9283_plan(path: Path, cube_mm: float | None, room: Path | None, seed: int) -> tuple[list[Words], pd.DataFrame]:

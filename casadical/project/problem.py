@@ -14,7 +14,7 @@ from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.reporting.result import Shown
 from casadical.identification.plausibility import refuse_undefined
-from casadical.identification.prior import Prior, carry_over
+from casadical.identification.prior import Prior
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.arrangement import long
 from casadical.measurements.columns import Columns, columns_used
@@ -43,7 +43,6 @@ from casadical.project.recognition import understood
 from casadical.project.robot_columns import as_poses, refuse_nameless, with_coupled, with_target_positions
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import read_robot
 
 # Function that takes the results of another campaign over into a robot, and returns that robot and
 # the prior of the values (None without one).
@@ -53,19 +52,6 @@ Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
     """Return the robot unchanged and no prior: the default of `Carried`."""
     return robot, None
-
-
-def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
-    """Return a function that takes effects, or other parts, of a robot file over into a robot.
-
-    It returns that robot and the prior of the values (see `carry_over`).
-
-    path : robot file; parts : what is taken over, as of `carry_over`
-    frozen : whether the values are fixed
-    Raises InputError for a file that is no robot.
-    """
-    other = read_robot(path)
-    return lambda robot: carry_over(robot, other, parts, frozen=frozen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,9 +287,15 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     )
 
 
-def read_problem_robot(folder: str | Path) -> Robot:
-    """Return the robot of a problem folder without its measurements. Raises InputError."""
-    return _robot_of(Path(folder), campaign=False)
+def read_problem_robot(folder: str | Path, *, campaign: bool = False) -> Robot:
+    """Return the robot of a problem folder without its measurements. Raises InputError.
+
+    campaign : whether it is the robot of diagnoses (`campaign_robot`), not that of calibrations
+    """
+    folder = Path(folder)
+    file = problem_file(folder)
+    name = file.of_campaigns if campaign else file.robot
+    return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
 
 
 def read_campaign_robot(folder: str | Path) -> Robot:
@@ -320,22 +312,12 @@ def read_campaign_robot(folder: str | Path) -> Robot:
     """
     folder = Path(folder)
     if not folder.is_file():
-        return _robot_of(folder, campaign=True)
+        return read_problem_robot(folder, campaign=True)
     if folder.suffix == ".urdf" and (folder.parent / "problem.toml").is_file():
         file = problem_file(folder.parent)
         if folder.name in (file.robot, file.of_campaigns):
             return robot_of_file(folder, file.urdf or UrdfTable())
     return robot_of_file(folder, UrdfTable())
-
-
-def _robot_of(folder: Path, campaign: bool) -> Robot:
-    """Return the robot of a problem folder, without its measurements. Raises InputError.
-
-    campaign : whether it is the robot of diagnoses (`campaign_robot`), not that of calibrations
-    """
-    file = problem_file(folder)
-    name = file.of_campaigns if campaign else file.robot
-    return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
 
 
 def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -> Robot:
@@ -453,7 +435,14 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
     m = _with_conditions(with_target_positions(m, robot), robot).with_separations(_separations(data))
     if sets.column is None:
         return m, m.split(sets.sizes(), sets.seed)
-    return m, _by_column(m, columns, sets.column)
+    if sets.column not in columns.table:
+        raise InputError(f"{m.source}: column {sets.column!r}, named in sets, is missing; there are {columns.names}")
+    said = pd.Series(columns.table[sets.column].astype(str).to_numpy(), index=columns.row)
+    names = said.loc[m.row]  # it lacks the copies of rows
+    unknown = set(names) - set(SETS)
+    if unknown:
+        raise InputError(f"{m.source}: column {sets.column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")
+    return m, {str(name): m[np.flatnonzero(names == name)] for name in names.unique()}
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
@@ -480,19 +469,3 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
             )
     refuse_undefined(robot, derived)
     return derived
-
-
-def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:
-    """Return set -> its poses, as a column of the table names the set of each row.
-
-    found : the measurements; columns : of their table
-    Raises InputError: no such column, or unknown name.
-    """
-    if column not in columns.table:
-        raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {columns.names}")
-    said = pd.Series(columns.table[column].astype(str).to_numpy(), index=columns.row)
-    names = said.loc[found.row]  # `found` lacks the copies of rows
-    unknown = set(names) - set(SETS)
-    if unknown:
-        raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")
-    return {str(name): found[np.flatnonzero(names == name)] for name in names.unique()}

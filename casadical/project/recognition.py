@@ -27,9 +27,6 @@ from casadical.robot.robot import Robot
 # Largest error of the nominal robot (see `_total`; of orientation alone in rad) with which the
 # meaning of an ambiguous heading is accepted without a question.
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
-# Maximum number of interpretations of a table, none of which fits the robot, with which slips are
-# searched for; each takes a second.
-MAX_CHOICES_WITH_SLIPS = 8
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
@@ -43,7 +40,21 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
         more = understand(raw, robot.joints, {**found.sources, **given}, kind=kind)
         whole = Understanding((*found.columns, *more.columns), more.questions)
         found = replace(_by_model(raw, robot, given, whole), questions=())
-    return _without_other_frame(raw, robot, given, _measured_instead(raw, robot, given, found))
+    # Orientations in another frame than the positions, or computed by the robot, are left out.
+    found = _measured_instead(raw, robot, given, found)
+    turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
+    if not turned or found.questions:
+        return found
+    # Orientations that agree with the nominal model within this [rad] were computed as well.
+    computed_orientation_tolerance_rad = 2e-5
+    with suppress(InputError, np.linalg.LinAlgError):
+        m = _measurements_of(raw, robot, {**found.sources, **given})
+        if m.orientation is not None and (
+            frame_error(robot, m)
+            or (_orientation_error(robot, m) < computed_orientation_tolerance_rad and not computed(robot, m))
+        ):
+            return replace(found, columns=tuple(c for c in found.columns if c not in turned))
+    return found
 
 
 def _measured_instead(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
@@ -62,31 +73,6 @@ def _measured_instead(raw: RawTable, robot: Robot, given: Mapping[str, Source], 
         tried = _by_model(raw, robot, given, replace(others, questions=(question,)))
         if not tried.questions:
             return tried
-    return found
-
-
-def _without_other_frame(
-    raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding
-) -> Understanding:
-    """Return the meaning of columns without orientations that were not measured with positions.
-
-    Such orientations are in another frame than the positions, or the controller's own, computed by
-    the nominal model.
-
-    given : casadical's column name -> declared source; found : meaning of all columns
-    """
-    turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
-    if not turned or found.questions:
-        return found
-    # Orientations that agree with the nominal model within this [rad] were computed as well.
-    computed_orientation_tolerance_rad = 2e-5
-    with suppress(InputError, np.linalg.LinAlgError):
-        m = _measurements_of(raw, robot, {**found.sources, **given})
-        if m.orientation is not None and (
-            frame_error(robot, m)
-            or (_orientation_error(robot, m) < computed_orientation_tolerance_rad and not computed(robot, m))
-        ):
-            return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
 
 
@@ -118,7 +104,8 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
                 errors[choices], readings[choices] = (placed_by(robot, m)[1], turn), m
                 copied |= {choices} if computed(robot, m, rounded=True) else set()
     order, bound = sorted(errors, key=lambda c: _total(robot, errors[c])), MAX_ORIENTATION_ERROR_RAD
-    if 0 < len(errors) <= MAX_CHOICES_WITH_SLIPS and _total(robot, errors[order[0]]) > bound:
+    # Slips are searched for in up to eight interpretations; each takes a second.
+    if 0 < len(errors) <= 8 and _total(robot, errors[order[0]]) > bound:
         errors |= {choices: error for choices, m in readings.items() if (error := _error_without_slips(robot, m))}
         order = sorted(errors, key=lambda c: _total(robot, errors[c]))
     for k, question in enumerate(questions):
@@ -144,7 +131,13 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
             and least < allowed
             and MIN_ERROR_RATIO_TO_OTHERS * least < second
         ):
-            why = _why("comparison: " if layout else f"{best[k]}: ", errors[best], errors[other] if other else None)
+            behind = errors[other] if other else None
+            turned = errors[best][1] and behind is not None and behind[1]
+            unit, which, factor = ("deg", 1, 180 / np.pi) if turned else ("mm", 0, 1e3)
+            rest = f", else {factor * behind[which]:.2g}" if behind else ""
+            off = factor * errors[best][which]
+            why = f"{'comparison' if layout else best[k]}: {off if off > 1e-6 else 0:.2g} {unit}"
+            why += f" from the robot{rest}"
             found = found.answered(question, best[k], why)
         elif question.about:
             ranked = dict.fromkeys([*(c[k] for c in order), *question.choices])
@@ -169,18 +162,6 @@ def _total(robot: Robot, error: tuple[float, float]) -> float:
     error : median error of positions [m] and of orientations [rad]
     """
     return error[0] / robot.reach + error[1]
-
-
-def _why(choice: str, error: tuple[float, float], other: tuple[float, float] | None) -> str:
-    """Return why a choice is taken, by errors [m, rad] of the best and next interpretation.
-
-    choice : beginning of the text
-    """
-    turned = error[1] and other is not None and other[1]
-    unit, k, factor = ("deg", 1, 180 / np.pi) if turned else ("mm", 0, 1e3)
-    rest = f", else {factor * other[k]:.2g}" if other else ""
-    off = factor * error[k]
-    return f"{choice}{off if off > 1e-6 else 0:.2g} {unit} from the robot{rest}"
 
 
 def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:

@@ -62,34 +62,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
     m = of_tool(m, robot, inverted, camera)
     if "corners" in m.extra:
         camera = "in hand" if m.inverted else "to base"
-    return _synchronised(replace(m, camera=camera or _camera_of(m, robot)), robot)
-
-
-def of_tool(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
-    """Return poses of the tool in the measuring frame, inverted where the table has their inverse.
-
-    Arguments are as of `as_poses`; without orientations all is unchanged.
-    """
-    if m.position is None or m.orientation is None:
-        return m
-    if "corners" in m.extra and camera and inverted is None:
-        inverted = camera == "in hand"  # what was seen is the target in the camera
-    # With fewer poses it is not judged whether they are inverted.
-    if inverted is None and len(m) >= 5:
-        here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
-        inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
-        undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
-        inverted = camera == "in hand" if undecided and camera else inverted
-    return m.inverse() if inverted else m
-
-
-def _synchronised(m: Measurements, robot: Robot) -> Measurements:
-    """Return poses that a camera saw in motion with the joint readings at the images' times.
-
-    The offset of both clocks, within 0.3 s, is the one with which base and tool fit best. The
-    measurements are returned unchanged where rows are more than 0.2 s apart or too few, or where no
-    offset is clearly better than none.
-    """
+    m = replace(m, camera=camera or _camera_of(m, robot))
     time = m.conditions.get(TIME_COLUMN)
     if not m.camera or time is None or len(m) < 30:
         return m
@@ -116,6 +89,24 @@ def _synchronised(m: Measurements, robot: Robot) -> Measurements:
     if abs(offset) > 0.29 or 0.5 * len(some) * np.log(misfit(0.0) / misfit(offset)) < 10:
         return m
     return replace(m, q=np.asarray(reading(time + offset)), clock_offset=offset)
+
+
+def of_tool(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
+    """Return poses of the tool in the measuring frame, inverted where the table has their inverse.
+
+    Arguments are as of `as_poses`; without orientations all is unchanged.
+    """
+    if m.position is None or m.orientation is None:
+        return m
+    if "corners" in m.extra and camera and inverted is None:
+        inverted = camera == "in hand"  # what was seen is the target in the camera
+    # With fewer poses it is not judged whether they are inverted.
+    if inverted is None and len(m) >= 5:
+        here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
+        inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
+        undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
+        inverted = camera == "in hand" if undecided and camera else inverted
+    return m.inverse() if inverted else m
 
 
 def _pose_error(robot: Robot, m: Measurements) -> float:
@@ -280,26 +271,19 @@ def with_coupled(columns: Columns, robot: Robot) -> Columns:
         # Logged readings of a coupled or locked joint may differ by this from what the robot file
         # computes [rad or m]; it is well above the resolution of a reading.
         if off.max() > 2e-3:
-            _refuse_coupled_reading(columns, robot, i, int(np.argmax(off)), q, made)
+            row = int(np.argmax(off))
+            factor, unit = (180 / np.pi, "deg") if turning else (1e3, "mm")
+            coupling = robot.joints[i - 1].coupling
+            follows = coupling is not None and coupling.follows
+            what = "follows other joints and would be" if follows else "is locked"
+            logged, said = (f"{factor * v[row, i - 1]:.6g} {unit}" for v in (q, made))
+            raise InputError(
+                f"{columns.at(row)}, column q{i}: {logged}, and by the robot file joint {i} {what} "
+                f"at {said}: no pose can be computed from both. Leave `follows` and `at_{unit}` out "
+                f"of its row if it moves by itself; else leave the column q{i} out"
+            )
     if robot.counts_otherwise and {*read, *coupled} == {*robot.numbers}:
         table = table.drop(columns=[c for c in table if re.fullmatch(r"q\d+_(deg|rad|mm|m)", str(c))])
         names = [f"q{i}_{unit}" for i, unit in enumerate(robot.units, 1)]
         table = table.assign(**dict(zip(names, robot.variables_of(made).T, strict=True)))
     return replace(columns, table=table)
-
-
-def _refuse_coupled_reading(columns: Columns, robot: Robot, i: int, row: int, q: Array, made: Array) -> None:
-    """Raise the InputError for a coupled or locked joint whose reading contradicts the robot file.
-
-    i : number of the joint; row : index of the row
-    q, made : logged and computed readings, shape (n, joints) [rad or m]
-    """
-    factor, unit = (180 / np.pi, "deg") if robot.joints[i - 1].kind == "revolute" else (1e3, "mm")
-    coupling = robot.joints[i - 1].coupling
-    what = "follows other joints and would be" if coupling and coupling.follows else "is locked"
-    read, said = (f"{factor * v[row, i - 1]:.6g} {unit}" for v in (q, made))
-    raise InputError(
-        f"{columns.at(row)}, column q{i}: {read}, and by the robot file joint {i} {what} at "
-        f"{said}: no pose can be computed from both. Leave `follows` and `at_{unit}` out of its "
-        f"row if it moves by itself; else leave the column q{i} out"
-    )

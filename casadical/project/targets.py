@@ -18,6 +18,7 @@ from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import median_error, place_frames, rigid
 from casadical.identification.plausibility import check_against
+from casadical.measurements.arrangement import directions_turn
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings
 from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
 from casadical.robot.robot import Robot
@@ -99,18 +100,43 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
         return None
     count = often[-1]
     whole = [(rows, part) for rows, part in apart if part.max() + 1 == count]
-    points = [_means(m.position[rows], part) for rows, part in whole]
-    lengths = np.array([np.sort(_lengths(p)) for p in points])
+    seen_at = [_means(m.position[rows], part) for rows, part in whole]
+    lengths = np.array([np.sort(_lengths(p)) for p in seen_at])
     distances = np.median(lengths, axis=0)
     alike = (np.abs(lengths - distances) < DISTANCE_TOLERANCE).all(axis=1)
-    if alike.sum() < max(MIN_DISAGREEING_POSES, 0.7 * len(points)):
+    if alike.sum() < max(MIN_DISAGREEING_POSES, 0.7 * len(seen_at)):
         return None
     distances = np.median(lengths[alike], axis=0)
-    turning = _turning([p for p, ok in zip(points, alike, strict=True) if ok])
+    # The vector between the two farthest targets at each pose.
+    first, second = np.triu_indices(count, 1)
+    longest = [(p, int(np.argmax(_lengths(p)))) for p, ok in zip(seen_at, alike, strict=True) if ok]
+    turning = directions_turn(np.array([p[second[k]] - p[first[k]] for p, k in longest]))
     targets = Targets(count, distances, len(apart), turning)
     if not turning:
         return targets
-    return _distinguished(robot, m, poses, [pose for pose, ok in zip(whole, alike, strict=True) if ok], targets)
+    whole = [pose for pose, ok in zip(whole, alike, strict=True) if ok]
+    placed = place_frames(rigid(robot), _middles(m, whole))
+    p, R = predicted(placed, m)
+    assert m.position is not None
+    seen = np.einsum("nji,nj->ni", R, m.position - p)  # tool frame, from the centroid
+    middle = [(x := _means(seen[rows], part)) - x.mean(axis=0) for rows, part in whole]
+    points, orders = middle[0], np.array(list(permutations(range(targets.count))))
+    for _ in range(3):
+        ordered = np.array([x[orders[first_of_best(-((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
+        points = np.median(ordered, axis=0)
+    scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
+    # Targets are distinguished only where their scatter in the tool frame is below this share of
+    # the smallest distance between them.
+    if len(whole) < 2 * MIN_DISAGREEING_POSES or scatter > 0.25 * targets.distances[0]:
+        return targets
+    which = np.empty(len(m), dtype=np.int64)
+    for rows, part in poses:
+        which[rows] = _nearest(_means(seen[rows], part), points)[part]
+    # Targets are numbered in the order in which they first appear in the table.
+    order = list(dict.fromkeys([*which.tolist(), *range(targets.count)]))
+    rank = np.argsort(order)
+    points = placed.tool.T[:3, 3] + points[order] @ placed.tool.T[:3, :3].T
+    return replace(targets, points=points, which=rank[which], rows=m.row)
 
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
@@ -156,59 +182,8 @@ def _lengths(points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[first] - points[second], axis=1))
 
 
-def _turning(points: list[Array]) -> bool:
-    """Return whether the vector between the two farthest targets changes direction between poses.
-
-    points : targets at each pose in the measuring frame, shape (K, 3) [m] each
-    """
-    first, second = np.triu_indices(len(points[0]), 1)
-    longest = [int(np.argmax(_lengths(p))) for p in points]
-    ways = np.array([p[second[k]] - p[first[k]] for p, k in zip(points, longest, strict=True)])
-    values = np.linalg.eigvalsh(ways.T @ ways)
-    # One eigenvalue above this share of the sum of squares means a single direction.
-    return bool(values[-1] < 0.95 * values.sum())
-
-
-def _distinguished(
-    robot: Robot, m: Measurements, poses: list[tuple[Array, Array]], whole: list[tuple[Array, Array]], found: Targets
-) -> Targets:
-    """Return the targets with their points and each row's target, by the nominal model.
-
-    The model is placed by the centroids of the targets. Unchanged where it is too inaccurate.
-
-    found : targets by their distances
-    poses : rows and clusters of all groups of equal readings, as of `_poses`
-    whole : those at which every target was measured
-    """
-    placed = place_frames(rigid(robot), _middles(m, whole))
-    p, R = predicted(placed, m)
-    assert m.position is not None
-    seen = np.einsum("nji,nj->ni", R, m.position - p)  # tool frame, from the centroid
-    middle = [(x := _means(seen[rows], part)) - x.mean(axis=0) for rows, part in whole]
-    points, orders = middle[0], np.array(list(permutations(range(found.count))))
-    for _ in range(3):
-        ordered = np.array([x[orders[first_of_best(-((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
-        points = np.median(ordered, axis=0)
-    scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
-    # Targets are distinguished only where their scatter in the tool frame is below this share of
-    # the smallest distance between them.
-    if len(whole) < 2 * MIN_DISAGREEING_POSES or scatter > 0.25 * found.distances[0]:
-        return found
-    which = np.empty(len(m), dtype=np.int64)
-    for rows, part in poses:
-        which[rows] = _nearest(_means(seen[rows], part), points)[part]
-    # Targets are numbered in the order in which they first appear in the table.
-    order = list(dict.fromkeys([*which.tolist(), *range(found.count)]))
-    rank = np.argsort(order)
-    points = placed.tool.T[:3, 3] + points[order] @ placed.tool.T[:3, :3].T
-    return replace(found, points=points, which=rank[which], rows=m.row)
-
-
 def _middles(m: Measurements, whole: list[tuple[Array, Array]]) -> Measurements:
-    """Return one measurement of the centroid of all targets at each of these poses.
-
-    whole : rows and clusters of each pose, as of `_poses`
-    """
+    """Return one measurement of the centroid of all targets at each of these poses."""
     assert m.position is not None
     first = m[np.array([rows[0] for rows, _ in whole])]
     q = np.array([m.q[rows].mean(axis=0) for rows, _ in whole])
@@ -314,7 +289,6 @@ def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: fl
     """Return the index of each row's target, shape (n,), by alternating assignment and placement.
 
     given : index of the named target of each row, shape (n,)
-    rows : rows by which base and targets are placed first
     nearer : factor by which a row's own target must be farther than the nearest one for the row to
         be assigned to that
     """
@@ -338,10 +312,7 @@ def _points_of(robot: Robot) -> dict[str, Array]:
 
 
 def _in_last_link(placed: Robot, m: Measurements) -> Array:
-    """Return each measured position in the last link's frame, shape (n, 3) [m].
-
-    placed : robot with its base fitted to the measurements
-    """
+    """Return each measured position in the last link's frame, shape (n, 3) [m]."""
     p, R = predicted(replace(placed, targets=(), tool_name=""), m)
     assert m.position is not None
     T = placed.tool.T
@@ -426,8 +397,6 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
     """Yield initial assignments of rows to targets, shape (n,): by given targets, then by distance.
 
     The latter have two targets and more, around rows that are far from the others.
-
-    free : robot with rigid joints and unknown base and tool
     """
     placed = place_frames(free, m)
     if robot.targets:
@@ -469,7 +438,6 @@ def _by_distances_to_points(placed: Robot, points: Array, m: Measurements) -> Ar
 def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array, float]:
     """Return the refined targets, each row's target, and the targets' greatest median error.
 
-    free : robot with rigid joints and unknown base and tool
     which : index of the initial target of each row, shape (n,)
     Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where targets coincide, or
     a single one remains

@@ -21,8 +21,6 @@ from casadical.core.basics import InputError
 
 # Columns of measured positions in the measuring frame [mm].
 MEASURED_COLUMNS = ["x_mm", "y_mm", "z_mm"]
-# Columns of the positions without noise, joint repeatability and outliers [mm].
-TRUE_COLUMNS = ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
 def approaches(joints: int) -> list[str]:
@@ -142,7 +140,7 @@ def simulate(
     table[readings_of(plant)] = q_deg
     table[MEASURED_COLUMNS] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
     if options.get("truth"):
-        table[TRUE_COLUMNS] = np.round(1e3 * positions(stops, 0.0), 6)
+        table[[f"{c}_true_mm" for c in "xyz"]] = np.round(1e3 * positions(stops, 0.0), 6)
     return table
 
 

@@ -243,10 +243,7 @@ class Cause:
     sizes: Mapping[str, Any]
 
     def _in(self, place: Place, otherwise: Any, *given: Any) -> Any:
-        """Return the result of the cause's function, or `otherwise` if it acts at another place.
-
-        given : positional arguments of the function
-        """
+        """Return the result of the cause's function, or `otherwise` if it acts at another place."""
         return self.kind.act(*given, **self.sizes) if self.kind.place == place else otherwise
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:

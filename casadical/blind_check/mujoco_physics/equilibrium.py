@@ -62,7 +62,22 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
         first, second = mechanism.loop
         ET.SubElement(ET.SubElement(root, "equality"), "connect", name="four_bar", site1=first, site2=second)
     if mechanism.cords or mechanism.shafts:
-        _tendons(ET.SubElement(root, "tendon"), mechanism)
+        parent = ET.SubElement(root, "tendon")
+        for cord in mechanism.cords:
+            about = {"name": cord.name, "stiffness": numbers(cord.stiffness)}
+            node = ET.SubElement(parent, "spatial", about)
+            node.set("springlength", numbers(*cord.rest))
+            for mark in (cord.first, cord.second):
+                ET.SubElement(node, "site", site=mark)
+        for shaft in mechanism.shafts:
+            about = {"name": shaft.name, "stiffness": numbers(shaft.stiffness)}
+            node = ET.SubElement(parent, "fixed", about)
+            rest = sum(share * mechanism.joint(j).ref for j, share in shaft.joints.items())
+            node.set("springlength", numbers(rest - shaft.slack, rest + shaft.slack))
+            node.set("frictionloss", numbers(shaft.friction))
+            node.set("damping", numbers(shaft.damping))
+            for joint, share in shaft.joints.items():
+                ET.SubElement(node, "joint", joint=joint, coef=numbers(share))
     sensor = ET.SubElement(root, "sensor")
     seen = {"objtype": "site", "objname": "reflector", "reftype": "body", "refname": "tracker"}
     ET.SubElement(sensor, "framepos", {"name": "measured", **seen})
@@ -100,23 +115,6 @@ def _body(parent: ET.Element, body: Body) -> ET.Element:
     for mark, at in body.marks.items():
         ET.SubElement(node, "site", name=mark, pos=numbers(*at))
     return node
-
-
-def _tendons(parent: ET.Element, mechanism: Mechanism) -> None:
-    """Add the cords and shafts of a mechanism to an XML element as tendons."""
-    for cord in mechanism.cords:
-        node = ET.SubElement(parent, "spatial", name=cord.name, stiffness=numbers(cord.stiffness))
-        node.set("springlength", numbers(*cord.rest))
-        for mark in (cord.first, cord.second):
-            ET.SubElement(node, "site", site=mark)
-    for shaft in mechanism.shafts:
-        node = ET.SubElement(parent, "fixed", name=shaft.name, stiffness=numbers(shaft.stiffness))
-        rest = sum(share * mechanism.joint(j).ref for j, share in shaft.joints.items())
-        node.set("springlength", numbers(rest - shaft.slack, rest + shaft.slack))
-        node.set("frictionloss", numbers(shaft.friction))
-        node.set("damping", numbers(shaft.damping))
-        for joint, share in shaft.joints.items():
-            ET.SubElement(node, "joint", joint=joint, coef=numbers(share))
 
 
 @dataclass(frozen=True)
@@ -185,26 +183,6 @@ class Engine:
 
         Raises ConvergenceError: no rest within 1500 steps, after those of the motion to the pose.
         """
-        self._arrange(stop)
-        if self.mechanism.travels:
-            self._travel(stop)
-        else:
-            self._drive(stop.motors)
-            self._until_still()
-        self.mujoco.mj_forward(self.model, self.data)
-        return np.array(self.data.sensor("measured").data)
-
-    def coordinate(self, joint: str) -> float:
-        """Return the current coordinate of a joint, by its name [rad or m]."""
-        return float(self.data.qpos[self._row[joint]])
-
-    def _arrange(self, stop: Stop) -> None:
-        """Reset the simulator and apply the settings, payload and start coordinates of a pose.
-
-        Some coordinates keep their values from the pose before.
-
-        stop : the pose
-        """
         m, d = self.model, self.data
         saved = d.qpos[self._keeps].copy()
         self.mujoco.mj_resetData(m, d)
@@ -220,6 +198,25 @@ class Engine:
         for joint, value in stop.start.items():
             d.qpos[self._row[joint]] = value
         d.qpos[self._keeps] = saved
+        if self.mechanism.travels:
+            back = stop.motors - 1.5e-3 * stop.approach  # rad or m that every joint moves before it stops
+            m.dof_frictionloss[self._moves] = m.tendon_frictionloss[:] = 0.0
+            self._drive(back)
+            self.mujoco.mj_step(m, self.data, 100)
+            for name in ("dof_frictionloss", "tendon_frictionloss"):
+                getattr(m, name)[:] = self._built[name]
+            for row, dof, torque in self._rubs:
+                m.dof_frictionloss[dof] += torque * abs(m.qpos_spring[row] - self.data.qpos[row])
+            for share in 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 81) / 80):
+                self._drive(back + share * (stop.motors - back))
+                self.mujoco.mj_step(m, self.data)
+            self.mujoco.mj_step(m, self.data, 80)
+            self._until_still(creep=2e-7)  # what friction holds creeps in the engine
+        else:
+            self._drive(stop.motors)
+            self._until_still()
+        self.mujoco.mj_forward(self.model, self.data)
+        return np.array(self.data.sensor("measured").data)
 
     def _set(self, setting: Setting) -> None:
         """Apply one setting to the compiled model, in addition to those before."""
@@ -241,23 +238,6 @@ class Engine:
             self.model.qpos_spring[row] = motors[motor]
         for shaft, motor, slack in self._shafts:
             self.model.tendon_lengthspring[shaft] = motors[motor] - slack, motors[motor] + slack
-
-    def _travel(self, stop: Stop) -> None:
-        """Find the equilibrium near the pose without friction, then move to it with friction."""
-        m = self.model
-        back = stop.motors - 1.5e-3 * stop.approach  # rad or m that every joint moves before it stops
-        m.dof_frictionloss[self._moves] = m.tendon_frictionloss[:] = 0.0
-        self._drive(back)
-        self.mujoco.mj_step(m, self.data, 100)
-        for name in ("dof_frictionloss", "tendon_frictionloss"):
-            getattr(m, name)[:] = self._built[name]
-        for row, dof, torque in self._rubs:
-            m.dof_frictionloss[dof] += torque * abs(m.qpos_spring[row] - self.data.qpos[row])
-        for share in 0.5 - 0.5 * np.cos(np.pi * np.arange(1, 81) / 80):
-            self._drive(back + share * (stop.motors - back))
-            self.mujoco.mj_step(m, self.data)
-        self.mujoco.mj_step(m, self.data, 80)
-        self._until_still(creep=2e-7)  # what friction holds creeps in the engine
 
     def _until_still(self, creep: float = 2e-9) -> None:
         """Step until no coordinate moves faster than `creep` [rad/s or m/s].

@@ -147,14 +147,8 @@ class Plant(Shown):
         Raises InputError: a key or a shape is wrong.
         """
         keys = [
-            "name",
-            "modified_dh",
-            "tool_m",
-            "mass_kg",
-            "com_m",
-            "payload",
-            "stiffness_Nm_per_rad",
-            "joint_range_deg",
+            *("name", "modified_dh", "tool_m", "mass_kg", "com_m", "payload"),
+            *("stiffness_Nm_per_rad", "joint_range_deg"),
         ]
         for key in keys:
             if key not in robot:

@@ -18,20 +18,8 @@ def kinds() -> Mapping[str, MeasurementKind]:
 
     A kind whose columns include those of another comes first.
     """
-    order = (
-        Pose,
-        Corners,
-        PositionCovariance,
-        Position,
-        PairDistance,
-        Distance,
-        Dial,
-        Sphere,
-        Plane,
-        Contact,
-        RelativePose,
-    )
-    return {kind.name: kind() for kind in order}
+    order = (Pose, Corners, PositionCovariance, Position, PairDistance, Distance)
+    return {kind.name: kind() for kind in (*order, Dial, Sphere, Plane, Contact, RelativePose)}
 
 
 def find_kind(name: str, source: str = "measurements") -> MeasurementKind:

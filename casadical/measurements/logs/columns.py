@@ -72,7 +72,10 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     scalars: dict[str, Array] = {}
     headings: dict[tuple[str, str], str] = {}
     notes: list[str] = []
-    listed = listed or _listed_names(raw)
+    if not listed:  # names in a column of lists, as ROS writes JointState
+        named = [h for h in raw.header if {*words_of(h)[0]} & {"name", "names"}]
+        alike = next((raw.frame[h] for h in named if len({*raw.frame[h].astype(str)}) == 1), None)
+        listed = [] if alike is None else re.findall(r"[\w./-]+", str(alike.iloc[0]))
     for heading in raw.header:
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
@@ -155,14 +158,6 @@ def _as_json(cell: str) -> str:
     return re.sub(r"^\s*\((.*?),?\s*\)\s*$", r"[\1]", text)
 
 
-def _listed_names(raw: RawTable) -> list[str]:
-    """Return the joint names in a column `name` of lists, as ROS writes JointState; else []."""
-    for heading in raw.header:
-        if {*words_of(heading)[0]} & {"name", "names"} and len({*raw.frame[heading].astype(str)}) == 1:
-            return re.findall(r"[\w./-]+", str(raw.frame[heading].iloc[0]))
-    return []
-
-
 def tells_time(heading: str) -> bool:
     """Return whether a column is a time: by a word, or t alone."""
     words = words_of(heading)[0]
@@ -209,8 +204,6 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
     """Return the joint that the words of a heading name, and the other words.
 
     It is one of `names`, else the words without another meaning, such as a number; or empty.
-
-    names : of the robot's joints
     """
     for name in sorted(names, key=len, reverse=True):
         part = words_of(name)[0]
@@ -254,14 +247,9 @@ def _time(raw: RawTable) -> Array:
     fine = [name for name, _, unit in clocks if name != whole[0] and UNITS.get(unit, ("", 1.0))[1] == 1e-9]
     if fine:
         return np.asarray(values + 1e-9 * numbers_of(frame[fine[0]]))
-    factor = UNITS[whole[2]][1] if UNITS.get(whole[2], ("",))[0] == "s" else stamp_factor(values)
+    if UNITS.get(whole[2], ("",))[0] == "s":
+        return np.asarray(values * UNITS[whole[2]][1])
+    # The largest factor to seconds with which rows come at 2 Hz or faster.
+    step = float(np.nanmedian(np.abs(np.diff(values)))) if len(values) > 1 else 0.0
+    factor = next((factor for factor in (1.0, 1e-3, 1e-6) if step * factor <= 0.5), 1e-9)
     return np.asarray(values * factor)
-
-
-def stamp_factor(stamps: Array) -> float:
-    """Return the factor from time stamps to seconds: 1, 1e-3, 1e-6 or 1e-9.
-
-    It is the largest of 1, 1e-3, 1e-6 and 1e-9 with which rows come at 2 Hz or faster.
-    """
-    step = float(np.nanmedian(np.abs(np.diff(stamps)))) if len(stamps) > 1 else 0.0
-    return next((factor for factor in (1.0, 1e-3, 1e-6, 1e-9) if step * factor <= 0.5), 1e-9)

@@ -312,7 +312,20 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
             )
         if beyond:
             raise InputError(f"{place}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
-        _refuse_change(log, k)
+        column = log.position[:, k]
+        before, after = np.abs(column[:-1]), np.abs(column[1:])
+        small = np.minimum(before, after)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratios = np.maximum(before, after) / small
+        at = np.flatnonzero((small > 0.02) & (np.abs(ratios / DEGREES_PER_RADIAN - 1) < 0.1))
+        if len(at):
+            row = int(at[0])
+            raise InputError(
+                f"{log.source}: row {log.row[row + 1]}, position of {log.joints[k]}: "
+                f"{column[row + 1]:.5g} follows {column[row]:.5g}, {ratios[row]:.1f} times: the unit "
+                "changes there (degrees and radians); convert the rows of one of them, or give one "
+                "file to each"
+            )
         command = np.zeros(0) if log.command is None else log.command[:, k]
         if np.isfinite(command).any() and np.nanstd(column) > MIN_MOVEMENT and np.nanstd(command) > MIN_MOVEMENT:
             ratio = float(np.nanstd(command) / np.nanstd(column))
@@ -348,24 +361,3 @@ def refuse_frozen(log: JointLog) -> None:
                 f"rows, though its commands move by {np.ptp(commands):.3g} {unit}: it was not "
                 "measured, or the joint is blocked. Log its encoder"
             )
-
-
-def _refuse_change(log: JointLog, k: int) -> None:
-    """Refuse positions of joint k (index from 0) that change between radians and degrees.
-
-    Raises InputError with the row at which they do.
-    """
-    column = log.position[:, k]
-    before, after = np.abs(column[:-1]), np.abs(column[1:])
-    small = np.minimum(before, after)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.maximum(before, after) / small
-    at = np.flatnonzero((small > 0.02) & (np.abs(ratio / DEGREES_PER_RADIAN - 1) < 0.1))
-    if len(at):
-        row = int(at[0])
-        raise InputError(
-            f"{log.source}: row {log.row[row + 1]}, position of {log.joints[k]}: "
-            f"{column[row + 1]:.5g} follows {column[row]:.5g}, {ratio[row]:.1f} times: the unit "
-            "changes there (degrees and radians); convert the rows of one of them, or give one "
-            "file to each"
-        )

@@ -112,10 +112,7 @@ def _plain_headings(path: Path) -> tuple[str, ...]:
 
 
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
-    """Return the log of a file in its own units and order of joints, read by the file's form.
-
-    names : of the robot's joints; unit : of angles, for LeRobot's files that do not state it
-    """
+    """Return the log of a file in its own units and order of joints, read by the file's form."""
     if is_bag(path):
         return bag(path)
     if path.name == SAGE_STATE_FILE or (path / SAGE_STATE_FILE).exists():
@@ -240,10 +237,7 @@ def _plain(name: str) -> str:
 
 
 def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ...]:
-    """Return the kind of each joint ("revolute", "prismatic"), by the robot or its position's unit.
-
-    keys : the log's names of the joints
-    """
+    """Return each joint's kind ("revolute", "prismatic"), by the robot or its position's unit."""
     if robot:
         return tuple(joint.kind for joint in robot.joints)
     return tuple("prismatic" if log.units["position", key] in LENGTH_UNITS else "revolute" for key in keys)
@@ -344,7 +338,6 @@ def _from_percent(values: Array, robot: Arm | None, k: int, channel: str, source
     its lower end. Raises InputError without a robot.
 
     values : percentages, shape (n,); k : index of the joint, from 0
-    channel : name of the channel, a speed if it ends so; source : name of the log, for messages
     """
     if robot is None:
         raise InputError(f'{source}: unit = "percent" needs the ranges of the joints: give the robot, too')
@@ -360,8 +353,6 @@ def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:
     """Return the unit of angles: "deg" if any of a joint exceeds 2 pi + 1 in magnitude, else "rad".
 
     Commanded channels are judged by the commands if these are logged, others by the positions.
-
-    keys : the log's names of the joints
     """
     base = "command" if channel.startswith("command") and "command" in log.channels else "position"
     sizes = [np.nanmax(np.abs(log.channels[base][key])) for key in keys if key in log.channels[base]]

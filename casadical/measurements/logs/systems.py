@@ -22,8 +22,6 @@ from casadical.measurements.table_form import Form, clean
 SAGE_STATE_FILE = "state_motor.csv"
 # Column of LeRobot's datasets -> its channel.
 LEROBOT_CHANNELS = {"action": "command", "observation.state": "position"}
-# File name endings of ROS bags.
-BAG_SUFFIXES = (".db3", ".mcap", ".bag")
 
 
 def sage(folder: Path) -> Logged:
@@ -87,7 +85,8 @@ class _Stream:
 
 def bag(path: Path) -> Logged:
     """Return the joint states and commands of a ROS bag or an MCAP file. Raises InputError."""
-    streams, topics = _streams(path, _READERS)
+    readers = {"JointState": _states, "JointTrajectoryControllerState": _controller}
+    streams, topics = _streams(path, readers)
     logs = [_of_stream(stream, path) for stream in streams.values()]
     if not any("position" in log.channels for log in logs):
         raise InputError(
@@ -100,7 +99,7 @@ def bag(path: Path) -> Logged:
 
 def is_bag(path: Path) -> bool:
     """Return whether a file is a ROS bag or MCAP file by its name, or a folder by metadata.yaml."""
-    return path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").exists()
+    return path.suffix.lower() in (".db3", ".mcap", ".bag") or (path / "metadata.yaml").exists()
 
 
 def stations_of_bag(path: Path) -> RawTable:
@@ -111,9 +110,12 @@ def stations_of_bag(path: Path) -> RawTable:
     """
     from scipy.spatial.transform import Rotation
 
-    streams, topics = _streams(path, {"JointState": _states, **_POSE_READERS})
+    posed = dict.fromkeys(("TransformStamped", "PoseStamped", "TFMessage"), _pose)
+    streams, topics = _streams(path, {"JointState": _states, **posed})
     poses = {key: stream for key, stream in streams.items() if "pose" in stream.rows}
-    boards = {k: v for k, v in poses.items() if _TARGET_NAME.search(" ".join(k))}
+    # Words in the name of a frame or topic mark it as that of a target.
+    target_name = re.compile("board|marker|aruco|tag|checker|chess|target|object")
+    boards = {k: v for k, v in poses.items() if target_name.search(" ".join(k))}
     # The frames of a robot's links are on /tf, too.
     poses = boards or {k: v for k, v in poses.items() if not k[0].startswith("/tf")}
     states = max((s for s in streams.values() if "position" in s.rows), key=lambda s: len(s.stamps), default=None)
@@ -226,12 +228,6 @@ def _pose(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
     yield frames, "pose", (p.x, p.y, p.z, turn.x, turn.y, turn.z, turn.w)
 
 
-# Type of ROS message of joints that is used -> its reader.
-_READERS: Mapping[str, _Reader] = {"JointState": _states, "JointTrajectoryControllerState": _controller}
-# Type of ROS message of poses that is used -> its reader.
-_POSE_READERS: Mapping[str, _Reader] = dict.fromkeys(("TransformStamped", "PoseStamped", "TFMessage"), _pose)
-# Words in the name of a frame or topic that mark it as that of a target.
-_TARGET_NAME = re.compile("board|marker|aruco|tag|checker|chess|target|object")
 # Joints of Universal Robots' arms from the base on.
 UR_JOINTS = (
     *("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"),

@@ -4,12 +4,12 @@ They have the form that an auditor asks for, and never state that a laboratory i
 """
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
 from functools import cache, partial
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -21,12 +21,11 @@ from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.core.reporting.page import provenance_of
 from casadical.core.reporting.pdf import pdf_of
 from casadical.core.reporting.plain import WRITTEN, Key, written
+from casadical.core.reporting.result import Result
 from casadical.core.schema import LENGTH, WHOLE_NUMBER, TomlTable, check
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
 from casadical.identification.result import LeftOut, rows_in_words
-from casadical.measurements.measurements import Measurements
-from casadical.project.acceptance.acceptance import Acceptance
 from casadical.project.acceptance.budget import Budget, Conditions, budget_of, repeats_of
 from casadical.project.acceptance.iso9283 import Iso9283
 from casadical.project.acceptance.verification import iso9283 as iso9283_test
@@ -34,7 +33,6 @@ from casadical.project.acceptance.verification import problem_of
 from casadical.project.calibration import calibrate, with_knowledge
 from casadical.project.problem import Problem, read_problem
 from casadical.project.problem_file import result_in
-from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
 # A text of certificate.toml that fits on the page.
@@ -106,7 +104,7 @@ class Details(TomlTable):
 
 
 @dataclass(frozen=True, eq=False)
-class Certificate(Acceptance):
+class Certificate(Result):
     """Certificate data of a robot's calibration.
 
     problem : calibrated problem
@@ -142,11 +140,6 @@ class Certificate(Acceptance):
     left_out: tuple[LeftOut, ...] = field(default=(), metadata=WRITTEN)
 
     report: ClassVar[str] = "certificate.j2"
-
-    @property
-    def accepted(self) -> bool | None:
-        """Return whether the robot conforms to the tolerance; None if open or without one."""
-        return {"conforms": True, "fails": False}.get(self.decision)
 
     @property
     def decision(self) -> Literal["", "conforms", "open", "fails"]:
@@ -233,10 +226,7 @@ class Certificate(Acceptance):
         return [*self._refit(w), *self._decided(w), self.budget_table(w), *missing]
 
     def _fields(self, w: Mapping[str, str]) -> Table:
-        """Return the table of certificate number, robot, operator, instrument, place and method.
-
-        w : words of the certificate's language
-        """
+        """Return the table of certificate number, robot, operator, instrument, place and method."""
         d, c, i = self.details, self.details.conditions, self.details.instrument
         degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
         made_by = f"casadical {provenance_of(())['versions']['casadical']}"
@@ -269,10 +259,7 @@ class Certificate(Acceptance):
         return [*out, *([Words(w["refit"].format(n=self.refit))] if self.refit else [])]
 
     def _decided(self, w: Mapping[str, str]) -> list[Words | Table]:
-        """Return sentences on the decision and its rule, or that there is no tolerance.
-
-        w : words of the certificate's language
-        """
+        """Return sentences on the decision and its rule, or that there is no tolerance."""
         if not self.decision:
             return [Words(w["no_decision"])]
         tolerance = mm(self.details.decision.tolerance or 0.0)
@@ -382,7 +369,22 @@ def certificate(
     refit = int(stated.get("refit_poses", 0))
     if refit:  # the file's robot has seen the held-out poses: the one before the refit is judged
         robot = with_knowledge(calibrate(replace(calibrated, whole=()), method=method).identification)
-    _refuse_others(figures.get("report", {}), robot, sets, place)
+    report = figures.get("report", {})
+    n, mean = report.get("n"), report.get("mean_mm")
+    held_out = np.concatenate([errors(robot, m) for m in sets])
+    # The mean errors of results and measurements of the same calibration agree to rounding.
+    if not isinstance(mean, int | float) or (
+        n == len(held_out) and abs(1e3 * held_out.mean() - mean) > 1e-3 * mean + 1e-5
+    ):
+        given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
+        raise InputError(
+            f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, "
+            f"the measurements give {1e3 * held_out.mean():.4f} mm: they were measured, split "
+            "(--seed) or calibrated otherwise (--loss, --prior); calibrate again as problem.toml says"
+        )
+    if n != len(held_out):
+        path = place.parent / "result.json"
+        raise InputError(f"{path}: {n} held-out poses, the problem has {len(held_out)}")
     for m in sets:
         check_against(calibrated.robot, m)
     every = [m for parts in calibrated.sets.values() for m in parts]
@@ -397,27 +399,3 @@ def certificate(
     return Certificate(
         calibrated, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit, tuple(out)
     )
-
-
-def _refuse_others(report: Mapping[str, Any], robot: Robot, sets: Sequence[Measurements], place: Path) -> None:
-    """Refuse held-out poses whose errors differ from those that the results state.
-
-    They were then split by another seed, are of another table or, as they are calibrated here again
-    where the file's robot was refitted, were calibrated with another loss or a prior.
-
-    Raises InputError.
-
-    report : figures of the held-out poses in result.json; robot : calibrated; place : its file
-    """
-    n, mean = report.get("n"), report.get("mean_mm")
-    own = np.concatenate([errors(robot, m) for m in sets])
-    # The mean errors of results and measurements of the same calibration agree to rounding.
-    if not isinstance(mean, int | float) or (n == len(own) and abs(1e3 * own.mean() - mean) > 1e-3 * mean + 1e-5):
-        given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
-        raise InputError(
-            f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, "
-            f"the measurements give {1e3 * own.mean():.4f} mm: they were measured, split "
-            "(--seed) or calibrated otherwise (--loss, --prior); calibrate again as problem.toml says"
-        )
-    if n != len(own):
-        raise InputError(f"{place.parent / 'result.json'}: {n} held-out poses, the problem has {len(own)}")

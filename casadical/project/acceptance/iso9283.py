@@ -23,13 +23,13 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.reporting.blocks import Table, Words, mm
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, plain, written
+from casadical.core.reporting.result import Result
 from casadical.identification.accuracy import predicted
 from casadical.measurements.columns import Columns
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import draw, expected, poses_at_places
 from casadical.pose_selection.workspace import Workspace
-from casadical.project.acceptance.acceptance import Acceptance
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
@@ -184,26 +184,8 @@ class PoseFigures:
     RP: float = field(metadata=IN_MM)
 
 
-def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
-    """Return accuracy AP and repeatability RP of one pose. Raises InputError for a single visit.
-
-    pose : its number, 1 to 5; p : measured positions of its n visits, shape (n, 3) [m]
-    command : commanded position, shape (3,) [m], in the same frame
-    """
-    # RP needs a standard deviation, so at least two visits.
-    min_visits = 2
-    if len(p) < min_visits:
-        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {min_visits} or more, the standard {STANDARD_CYCLES}")
-    mean = p.mean(axis=0)
-    length = np.linalg.norm(p - mean, axis=1)
-    off = mean - command
-    RP = float(length.mean() + 3 * length.std(ddof=1))
-    x, y, z = map(float, off)
-    return PoseFigures(pose, len(p), float(np.linalg.norm(off)), (x, y, z), RP)
-
-
 @dataclass(frozen=True, eq=False)
-class Iso9283(Acceptance):
+class Iso9283(Result):
     """The figures of a test table by the standard, and those of the calibration at the same visits.
 
     robot : name of the robot
@@ -241,10 +223,6 @@ class Iso9283(Acceptance):
         return [{**plain(f), "vAP_mm": vAP.get(f.pose)} for f in self.accuracy]
 
     report: ClassVar[str] = "iso9283.j2"
-
-    @property
-    def accepted(self) -> None:
-        """Return None: the standard states figures and no limit."""
 
     def table(self) -> Table:
         """Return a table of AP, its components, RP and vAP [mm], one row for each pose."""
@@ -310,11 +288,21 @@ def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFig
 
     pose : number of each visit's pose, shape (n,); p, command : measured and commanded positions in
         the base frame, shape (n, 3) [m]
+    Raises InputError for a single visit.
     """
-    return tuple(
-        pose_figures(int(k), p[own & (pose == k)], command[own & (pose == k)].mean(axis=0))
-        for k in np.unique(pose[own])
-    )
+    figures = []
+    for k in np.unique(pose[own]):
+        visits = p[own & (pose == k)]
+        # RP needs a standard deviation, so at least two visits.
+        if len(visits) < 2:
+            raise InputError(f"pose {k}: {len(visits)} visit; RP needs 2 or more, the standard {STANDARD_CYCLES}")
+        mean = visits.mean(axis=0)
+        length = np.linalg.norm(visits - mean, axis=1)
+        x, y, z = map(float, mean - command[own & (pose == k)].mean(axis=0))
+        RP = float(length.mean() + 3 * length.std(ddof=1))
+        AP = float(np.linalg.norm([x, y, z]))
+        figures.append(PoseFigures(int(k), len(visits), AP, (x, y, z), RP))
+    return tuple(figures)
 
 
 def _model_error(

@@ -15,12 +15,12 @@ from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import load_json, number_fault
 from casadical.core.reporting.blocks import Words, next_step
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, written
+from casadical.core.reporting.result import Result
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import Prepared, calibrated, prepare
 from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.reading import refuse_shared_rows
-from casadical.project.acceptance.acceptance import Acceptance
 from casadical.project.acceptance.iso9283 import Iso9283, evaluated_table
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
@@ -33,7 +33,7 @@ POSITION_KIND = "position"
 
 
 @dataclass(frozen=True)
-class Verification(Acceptance):
+class Verification(Result):
     """The result of a check of a calibrated robot with later poses.
 
     robot : name of the robot
@@ -88,11 +88,6 @@ class Verification(Acceptance):
         return self.found <= self.limit
 
     report: ClassVar[str] = "verification.j2"
-
-    @property
-    def accepted(self) -> bool:
-        """Return whether the error is still as promised, within chance."""
-        return self.valid
 
     @property
     def far_rows(self) -> str:
@@ -248,10 +243,7 @@ class _Refit:
         return cls(groups, numbers, points, sum(map(len, sets)), kind.lengths, base, kind.name != "distance")
 
     def refuse_too_few(self, tables: str) -> None:
-        """Refuse poses that leave fewer than six degrees of freedom. Raises InputError.
-
-        tables : names of the tables, for the message
-        """
+        """Refuse poses that leave fewer than six degrees of freedom. Raises InputError."""
         # The judgement needs at least this many degrees of freedom.
         min_freedom = 6
         if self.freedom(self.n, self.numbers) >= min_freedom:
@@ -326,10 +318,7 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> tuple[float, int]:
 
 
 def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
-    """Return a stated rms error [mm] in metres. Raises InputError for what is no number above 0.
-
-    place, remedy : beginning and end of the message
-    """
+    """Return a stated rms error [mm] in metres. Raises InputError for what is no number above 0."""
     if not isinstance(stated, int | float) or isinstance(stated, bool) or stated <= 0 or number_fault(stated):
         raise InputError(f"{place} is {shown(repr(stated))}; allowed: a number above 0{remedy}")
     return 1e-3 * float(stated)

@@ -89,7 +89,13 @@ def precheck(
             findings.insert(0, slip_finding(slips, problem.robot, standard, sets[0]))
     findings += set_findings(problem)
     findings += limits_findings(problem.robot)
-    noise_m, source = _noise(noise, sets)
+    stated = {
+        "as given": noise,
+        "as the problem states": next((m.sigma for m in sets if m.sigma), None),
+        "as repeated readings show": next((s for s in (facts.repeats(m)[1] for m in sets) if s), None),
+    }
+    source = next((words for words, value in stated.items() if value), "")
+    noise_m = stated.get(source)
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~facts.far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_sessions(problem.robot, trusted or sets)
@@ -155,9 +161,6 @@ def _slips(
     """Return the slips, one or several, that explain a table; None if it cannot be fitted.
 
     Of several targets, the poses are those of the most measured one, or of the targets' centroid.
-
-    targets : targets that the table does not name, if there are any
-    others : robots that the file may have meant
     """
     if targets and targets.turning:
         middle = middles(table, targets.count)
@@ -177,14 +180,15 @@ def _plausible(
     The slip is None where there are too few poses, the kind is not judged (`plausible`), or the
     model itself explains the table.
 
-    others : robots that the file may have meant
     standard : whether the robot file has the standard DH convention
     """
-    judged = facts.plausible(robot, m, others) if len(m) >= facts.MIN_PLAUSIBILITY_POSES else None
+    # Base and tool alone fit fewer than four poses with any model or none.
+    judged = facts.plausible(robot, m, others) if len(m) >= 4 else None
     if judged is None:
         return [], None
     slips = Slips(*judged, ())
-    if slips.explains or slips.before.error > facts.MAX_MEDIAN_ERROR_OF_REACH * robot.reach:
+    # With a median error of up to 2 % of the reach the data do not contradict the nominal robot.
+    if slips.explains or slips.before.error > 0.02 * robot.reach:
         return [slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
     fits = f"units, signs and zeros fit{', with each pose inverted' if m.inverted else ''}"
@@ -199,7 +203,6 @@ def _data_findings(
     A slip is a mistake in the table or robot file, such as swapped joints; None as of `_plausible`.
     Better readings are columns that fit better, as of `_reading_findings`, by the table's source.
 
-    sets : fitted poses; others, standard : as of `_plausible`
     table : all positions of the only table, held-out poses included; None where there is no such
         table
     """
@@ -253,17 +256,3 @@ def _reading_findings(robot: Robot, m: Measurements) -> tuple[list[Finding], dic
             least, units = by_them, zip(robot.reading_units.items(), names, strict=True)
             better = {ours: Source(name, unit / own_unit) for (ours, own_unit), name in units}
     return findings, better
-
-
-def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
-    """Return the noise of a coordinate [m] and its origin as text; None where it is unknown.
-
-    It is the given one, the declared one, or that of repeated readings.
-    """
-    if given is not None:
-        return given, "as given"
-    stated = next((m.sigma for m in sets if m.sigma), None)
-    if stated:
-        return stated, "as the problem states"
-    shown = next((s for s in (facts.repeats(m)[1] for m in sets) if s), None)
-    return (shown, "as repeated readings show") if shown else (None, "")

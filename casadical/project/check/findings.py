@@ -161,35 +161,20 @@ def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:
-    """Return findings on misspelt columns, and on columns that this robot does not use.
-
-    conditions : names of the logged columns; source : name of the table
-    """
+    """Return findings on misspelt columns, and on columns that this robot does not use."""
     findings = []
     if robot.gravity_frame != "logged" and {*GRAVITY_COLUMNS} <= {*conditions}:
         text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"
-        findings.append(
-            Finding(
-                "warning",
-                "columns",
-                f'{text}: write frame = "logged" in [gravity] ([urdf.gravity] of a URDF), or leave them out',
-            )
-        )
+        text += ': write frame = "logged" in [gravity] ([urdf.gravity] of a URDF), or leave them out'
+        findings.append(Finding("warning", "columns", text))
     beyond = [c for c in conditions if (match := re.fullmatch(r"approach(\d+)", c)) and int(match[1]) > robot.n]
     if beyond:
         text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
         findings.append(Finding("warning", "columns", text))
     # Columns that the model or an effect may need, besides readings and observations.
     understood_columns = (
-        "payload_kg",
-        "temperature_degC",
-        "time_s",
-        "warmth_K",
-        "weight",
-        "set",
-        "point",
-        "pose",
-        "other_pose",
+        *("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight"),
+        *("set", "point", "pose", "other_pose"),
     )
     for name in conditions:
         near = [candidate for candidate in understood_columns if candidate.startswith(f"{name}_")]

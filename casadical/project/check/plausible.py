@@ -26,13 +26,6 @@ from casadical.project.check.slips import MIN_ERROR_REDUCTION, outside, slip_fit
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-# Minimum number of poses by which a model's plausibility is judged; with fewer, base and tool alone
-# fit any model or none.
-MIN_PLAUSIBILITY_POSES = 4
-# Largest median error of the nominal robot, base and tool fitted, as a share of its reach, with
-# which the data do not contradict it.
-MAX_MEDIAN_ERROR_OF_REACH = 0.02
-
 
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
     """Return the fit of the data as they are, and the best fit with at most one slip undone.
@@ -66,8 +59,6 @@ def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, 
     """Return the first and the best of the fits; of tied fits the one with fewest shifted zeros.
 
     A fit with readings out of the joint ranges must be better by MIN_ERROR_REDUCTION.
-
-    some : the fitted poses; tried : fits, the first one without slips
     """
     before = tried[0]
     tried.sort(key=lambda fit: sum(z != 0 for z in fit.hypothesis.zero))

@@ -54,7 +54,33 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
         texts[path] = tomlkit.dumps(problem)
         repaired_robot = robot_of_file(place, UrdfTable.model_validate(urdf.unwrap()))
     if fit.hypothesis.rows or fit.hypothesis.lengths or other or (counted and place.suffix != ".urdf"):
-        texts[place] = _repaired_robot(place, fit, other or 1.0, counted)
+        times = other or 1.0
+        if place.suffix != ".toml":
+            raise InputError(
+                f"{place}: the repair changes rows of the robot, which is not a robot file; change it by hand"
+            )
+        document = tomlkit.parse(read_text(place))
+        convention = str(document.get("convention", "modified"))
+        if fit.hypothesis.rows:
+            convention = {"modified": "standard", "standard": "modified"}[convention]
+            document["convention"] = convention
+        rows: Any = document["joint"]
+        for i, entry in counted.items():
+            for key in [k for k in rows[i] if re.fullmatch(r"readings|offset_\w+", k)]:
+                del rows[i][key]
+            if entry != {"readings": [[i + 1, 1.0]]}:
+                rows[i].update(entry)
+        for name, i, departure in fit.hypothesis.lengths:
+            # Standard rows have the a of the next modified row.
+            row = rows[i - 1 if convention == "standard" and name == "a" else i]
+            key, factor = (f"{name}_m", 1.0) if f"{name}_m" in row else (f"{name}_mm", 1e3)
+            value = factor * meant_length(float(row.get(key, 0.0)) / factor, departure)
+            row[key] = round(value, 4 if factor == 1.0 or times != 1.0 else 1)
+        for part in (*rows, document.get("tool", {})) if times != 1.0 else ():
+            for key in [k for k in part if re.fullmatch(r"(a|d|b|xyz)_mm?", k)]:
+                own = np.array(part[key], dtype=float) * times
+                part[key] = own.tolist()
+        texts[place] = tomlkit.dumps(document)
         repaired_robot = robot_from(tomllib.loads(texts[place]), place.name, folder=place.parent)
     # The order of a quaternion's numbers was inferred from readings with the slip: infer it again.
     others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}
@@ -169,39 +195,6 @@ def _without_sum(source: Source) -> Source:
     if source.add:
         raise InputError(f"column {source.name!r} is a sum already (columns in problem.toml); repair it by hand")
     return source
-
-
-def _repaired_robot(path: Path, fit: Fit, times: float, counted: Mapping[int, Mapping[str, Any]]) -> str:
-    """Return the text of a robot file with readings, convention, lengths or unit of a fit repaired.
-
-    times : factor on all lengths, 1 where their unit is right
-    counted : index of a joint -> its keys of readings
-    Raises InputError for a file that is no TOML.
-    """
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
-    document = tomlkit.parse(read_text(path))
-    convention = str(document.get("convention", "modified"))
-    if fit.hypothesis.rows:
-        convention = {"modified": "standard", "standard": "modified"}[convention]
-        document["convention"] = convention
-    rows: Any = document["joint"]
-    for i, entry in counted.items():
-        for key in [k for k in rows[i] if re.fullmatch(r"readings|offset_\w+", k)]:
-            del rows[i][key]
-        if entry != {"readings": [[i + 1, 1.0]]}:
-            rows[i].update(entry)
-    for name, i, departure in fit.hypothesis.lengths:
-        # Standard rows have the a of the next modified row.
-        row = rows[i - 1 if convention == "standard" and name == "a" else i]
-        key, factor = (f"{name}_m", 1.0) if f"{name}_m" in row else (f"{name}_mm", 1e3)
-        value = factor * meant_length(float(row.get(key, 0.0)) / factor, departure)
-        row[key] = round(value, 4 if factor == 1.0 or times != 1.0 else 1)
-    for table in (*rows, document.get("tool", {})) if times != 1.0 else ():
-        for key in [k for k in table if re.fullmatch(r"(a|d|b|xyz)_mm?", k)]:
-            value = table[key]
-            table[key] = [times * float(v) for v in value] if isinstance(value, list) else times * float(value)
-    return tomlkit.dumps(document)
 
 
 def write_repair(texts: Mapping[Path, str]) -> str:
@@ -331,7 +324,6 @@ def _tools(names: Sequence[str], points: Array, flange: Array, unknown: str) -> 
 
     points : in the last link's frame, shape (K, 3) [m]
     flange : pose in the last link of the frame in which the file gives its tool, shape (4, 4)
-    unknown : what is to be identified of each tool
     """
     seen = (points - flange[:3, 3]) @ flange[:3, :3]
     tools = tomlkit.aot()

@@ -87,7 +87,7 @@ def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
 
     standard : whether the rows of the robot file are of the standard DH convention
     """
-    return [*_of_readings(fit, robot), *_of_positions(fit, robot), *_of_rows(fit, robot, standard)]
+    return [*_clauses(fit, robot, standard)]
 
 
 # Why a mirrored frame is doubtful although it explains the positions.
@@ -103,8 +103,8 @@ LENGTHS_MIRROR_WARNING = (
 )
 
 
-def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
-    """Yield a clause on each slip of the joint readings, with its remedy."""
+def _clauses(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
+    """Yield a clause on each slip of readings, of positions (unit, handedness), and of DH rows."""
     h = fit.hypothesis
     for i, k in enumerate(h.source):
         if k > i:
@@ -134,6 +134,26 @@ def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
     if h.shift:
         after = "after" if h.shift > 0 else "before"
         yield f"the readings stand {abs(h.shift)} row {after} their positions"
+    scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
+    if other := other_lengths(fit, robot):
+        yield f"the lengths in the robot file are in another unit (times {other:.6g})"
+    elif len(scaled) == 3 and len({s for _, s in scaled}) == 1:
+        s = scaled[0][1]
+        units = {1e3: "metres", 25.4: "inches", 10.0: "centimetres"}
+        named = f"{units[s]} under names of millimetres" if s in units else "in another unit"
+        yield f"the positions are {named} (times {s:.6g})"
+    else:
+        yield from (f"{c} alone is in another unit (times {s:.6g})" for c, s in scaled)
+    if fit.mirrored:
+        yield "the measuring frame is left-handed (turn the sign of y)"
+    if fit.hypothesis.rows:
+        said = ("standard", "modified") if standard else ("modified", "standard")
+        yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
+    for name, i, departure in fit.hypothesis.lengths:
+        value = getattr(robot.joints[i], name)
+        length = meant_length(value, departure) / (other_lengths(fit, robot) or 1.0)
+        row = i if (standard != bool(fit.hypothesis.rows)) and name == "a" else i + 1  # the file's row
+        yield f"{name} of row {row} is {1e3 * length:.1f} mm, not {1e3 * value:.4g} mm"
 
 
 def other_lengths(fit: Fit, robot: Robot) -> float:
@@ -151,37 +171,6 @@ def other_lengths(fit: Fit, robot: Robot) -> float:
 def error_in_mm(fit: Fit, robot: Robot) -> str:
     """Return the error of a fit as text [mm], corrected where the robot is in another unit."""
     return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
-
-
-def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
-    """Yield a clause on each slip of the measured positions (unit, handedness), with its remedy."""
-    scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
-    if other := other_lengths(fit, robot):
-        yield f"the lengths in the robot file are in another unit (times {other:.6g})"
-    elif len(scaled) == 3 and len({s for _, s in scaled}) == 1:
-        s = scaled[0][1]
-        units = {1e3: "metres", 25.4: "inches", 10.0: "centimetres"}
-        named = f"{units[s]} under names of millimetres" if s in units else "in another unit"
-        yield f"the positions are {named} (times {s:.6g})"
-    else:
-        yield from (f"{c} alone is in another unit (times {s:.6g})" for c, s in scaled)
-    if fit.mirrored:
-        yield "the measuring frame is left-handed (turn the sign of y)"
-
-
-def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
-    """Yield the slips of the robot's DH rows (convention, lengths), in words.
-
-    standard : whether the robot file has the standard DH convention
-    """
-    if fit.hypothesis.rows:
-        said = ("standard", "modified") if standard else ("modified", "standard")
-        yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
-    for name, i, departure in fit.hypothesis.lengths:
-        value = getattr(robot.joints[i], name)
-        meant = meant_length(value, departure) / (other_lengths(fit, robot) or 1.0)
-        row = i if (standard != bool(fit.hypothesis.rows)) and name == "a" else i + 1  # the file's row
-        yield f"{name} of row {row} is {1e3 * meant:.1f} mm, not {1e3 * value:.4g} mm"
 
 
 def meant_length(value: float, departure: float) -> float:
@@ -286,8 +275,6 @@ def _of_names(m: Measurements, k: int, others: Sequence[str]) -> Iterator[tuple[
 
     They are another target, session, touched point or anchor; the undoing is name -> corrected
     value.
-
-    others : labels of points that other poses refer to
     """
     for kind, word in (("tool_", "target"), ("session_", "session")):
         names = [name for name in m.conditions if name.startswith(kind)]

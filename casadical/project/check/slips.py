@@ -128,10 +128,7 @@ def _likely_shifts(fit: SlipFit, robot: Robot) -> tuple[int, ...]:
 
 
 def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> list[Fit]:
-    """Return the fits of the best hypotheses of each number of slips, base and tool fitted.
-
-    shifts : shifts of rows that are tried
-    """
+    """Return the fits of the best hypotheses of each number of slips, base and tool fitted."""
     none = Hypothesis.none(robot.n)._replace(shift=shifts[0])
     turning = [j.kind == "revolute" for j in robot.joints]
     # A column whose range is this small compared with the others may be in radians.
@@ -145,7 +142,14 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     max_slips = 4
     for depth in range(max_slips + 1):
         show(f"slips, search {depth + 1} of {max_slips + 1}")
-        selected = _best_of_level(level, share, fit.beam)
+        # The best hypotheses of all, and the 120 best of each shift and robot.
+        order = ranked(np.negative(share))
+        selected, of_each = order[: fit.beam], dict[tuple[int, int], int]()
+        for k in order:
+            key = (level[k].shift, level[k].rows)
+            of_each[key] = of_each.get(key, 0) + 1
+            if of_each[key] <= min(120, fit.beam) and k not in selected:
+                selected.append(k)
         for k in selected[:20]:
             h = _refined(fit, level[k])
             fits.setdefault(h, fit.placed(h))
@@ -200,22 +204,6 @@ def _rounded_zero(angle: float) -> float:
     if away[nearest] < np.deg2rad(4.0):
         return float(QUARTER_TURNS[nearest])
     return round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
-
-
-def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
-    """Return the indices of the best hypotheses of all, and the 120 best of each shift and robot.
-
-    share : share of the motion that each leaves unexplained, shape (k,)
-    beam : number of hypotheses that are continued
-    """
-    order = ranked(np.negative(share))
-    selected, of_each = order[:beam], dict[tuple[int, int], int]()
-    for k in order:
-        key = (level[k].shift, level[k].rows)
-        of_each[key] = of_each.get(key, 0) + 1
-        if of_each[key] <= min(120, beam) and k not in selected:
-            selected.append(k)
-    return selected
 
 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:

@@ -39,25 +39,6 @@ MAX_PREDICTION_SIGMA_MM = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class LinearisedReadings:
-    """Residuals of readings and the model's Jacobian about a robot.
-
-    off : residuals, measured minus computed, shape (n, numbers) [mm, angles in `ratio` mrad]
-    J : Jacobian of the computed values by the scaled parameters and then the coordinates [mm] of
-        the points, shape (n, numbers, p + 3 K)
-    points : unknown points by their labels, in the order of the columns, in the measuring frame,
-        shape (3,) each [m]
-    separated : residuals of given distances between points, and their Jacobian, in units of sigma,
-        shapes (s,) and (s, p + 3 K)
-    """
-
-    off: Array
-    J: Array
-    points: Mapping[str, Array]
-    separated: tuple[Array, Array]
-
-
-@dataclass(frozen=True, eq=False)
 class Estimate:
     """The robot as some readings determine it.
 
@@ -107,13 +88,14 @@ class Estimate:
         rows = np.flatnonzero([name in self.points for name in labels] if labels else np.ones(len(m), dtype=bool))
         if not len(rows):
             return off, square
-        seen = linearised(self.robot, self.names, replace(m[rows], separations=()), self.ratio, self.points)
+        some = replace(m[rows], separations=())
+        r, J, points, _ = linearised(self.robot, self.names, some, self.ratio, self.points)
         at, p = {name: k for k, name in enumerate(self.points)}, len(self.names)
-        column = [p + 3 * at[name] + i for name in seen.points for i in range(3)]
+        column = [p + 3 * at[name] + i for name in points for i in range(3)]
         C = self.covariance[np.ix_([*range(p), *column], [*range(p), *column])]
-        off[rows], square[rows] = M_PER_MM * seen.off[:, : kind.lengths], np.inf
-        closed = np.isfinite(seen.off).all(axis=1) & np.isfinite(seen.J).all(axis=(1, 2))
-        J, r = seen.J[closed], seen.off[closed]
+        off[rows], square[rows] = M_PER_MM * r[:, : kind.lengths], np.inf
+        closed = np.isfinite(r).all(axis=1) & np.isfinite(J).all(axis=(1, 2))
+        J, r = J[closed], r[closed]
         C = J @ C @ J.transpose(0, 2, 1) + (self.sigma / M_PER_MM) ** 2 * np.eye(J.shape[1])
         square[rows[closed]] = np.einsum("ni,ni->n", r, np.linalg.solve(C, r[..., None])[..., 0])
         return off, square
@@ -154,12 +136,17 @@ def linearised(
     m: Measurements,
     ratio: float = 1.0,
     points: Mapping[str, Array] | None = None,
-) -> LinearisedReadings:
-    """Return the residuals and the Jacobian of readings, linearised at a robot's values.
+) -> tuple[Array, Array, Mapping[str, Array], tuple[Array, Array]]:
+    """Return readings linearised at a robot's values.
+
+    These are residuals, measured minus computed, shape (n, numbers) [mm, angles in `ratio` mrad];
+    the Jacobian of computed values by the scaled parameters and then the coordinates [mm] of the
+    points, shape (n, numbers, p + 3 K); these unknown points by their labels, in the order of the
+    columns, in the measuring frame, shape (3,) each [m]; residuals of given distances between
+    points, and their Jacobian, in units of sigma, shapes (s,) and (s, p + 3 K).
 
     names : parameters of the Jacobian; ratio : unit of an angle's residual [mrad]
-    points : unknown points by label in the measuring frame [m]; None: as estimated from the robot's
-        positions
+    points : unknown points by label [m]; None: as estimated from the robot's positions
     """
     problem = LeastSquares(robot, (m,), names, "linear", False, ((M_PER_MM, M_PER_MM * ratio),))
     labels = list(dict.fromkeys(labels_of(m)))
@@ -172,9 +159,8 @@ def linearised(
         turned = np.einsum("nij,nij->n", R, turn) < 1.0  # the sine is blind to half a turn
         r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (M_PER_MM * ratio), r)
     separated = (-apart[0].ravel() if apart else np.zeros(0), J[r.size :])
-    return LinearisedReadings(
-        -r, J[: r.size].reshape(*r.shape, -1), dict(zip(labels, problem.points, strict=True)), separated
-    )
+    located = dict(zip(labels, problem.points, strict=True))
+    return -r, J[: r.size].reshape(*r.shape, -1), located, separated
 
 
 def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Estimate:
@@ -191,8 +177,8 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     )
     # Candidate ratios of an angle's sigma to that of a coordinate [mrad/mm].
     now, ratios = placed, np.geomspace(0.3, 30.0, 7) if kind.angles else np.ones(1)
-    seen = linearised(now, names, m)
-    points = start = seen.points
+    off, J, start, separated = linearised(now, names, m)
+    points = start
     # Prior standard deviation of base, tool and points about where they were placed [mm, mrad]; it
     # is wide enough to leave them free.
     free_sigma = 1e3
@@ -201,9 +187,10 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
     x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
     for step in range(15):  # three, and more while points move by 0.1 mm
-        seen = linearised(now, names, m, points=points) if step else seen
-        y, apart = seen.off + seen.J @ x, (seen.separated[0] + seen.separated[1] @ x, seen.separated[1])
-        fits = [(*_by_evidence(seen.J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
+        if step:
+            off, J, _, separated = linearised(now, names, m, points=points)
+        y, apart = off + J @ x, (separated[0] + separated[1] @ x, separated[1])
+        fits = [(*_by_evidence(J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
         _, sigma, C, b, ratio = best_of(fits, lambda fit: fit[0], logs=True)
         ratios = np.array([ratio])
         before, x = x, C @ b
@@ -212,26 +199,18 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
         points = dict(zip(start, [*start.values()] + M_PER_MM * x[p:].reshape(-1, 3), strict=True)) if start else start
         if step >= 2 and np.abs(x[p:] - before[p:]).max(initial=0.0) < 0.1:
             break
-    r = linearised(now, names, m, ratio, points).off
-    J = seen.J * np.where(angles, 1 / ratio, 1.0)[:, None]
+    r = linearised(now, names, m, ratio, points)[0]
+    J = J * np.where(angles, 1 / ratio, 1.0)[:, None]
     redundant = np.eye(kind.numbers) - J @ C @ J.transpose(0, 2, 1) / sigma**2
     fixed = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / MAX_PREDICTION_SIGMA_MM) ** 2
     redundant[~fixed] = np.eye(kind.numbers)
     off = np.where(fixed[:, None], np.linalg.solve(redundant, r[..., None])[..., 0], np.nan)
     # A noise that few readings determine widens the limit, about as the F distribution does.
     freedom = max(float(np.trace(redundant, axis1=1, axis2=2).sum()), 1.0)
-    return Estimate(
-        now,
-        names,
-        points,
-        C,
-        M_PER_MM * sigma,
-        ratio,
-        m,
-        M_PER_MM * off[:, : kind.lengths],
-        np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2,
-        1 + 20.0 / freedom,
-    )
+    left_out = M_PER_MM * off[:, : kind.lengths]
+    surprise = np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2
+    widened = 1 + 20.0 / freedom
+    return Estimate(now, names, points, C, M_PER_MM * sigma, ratio, m, left_out, surprise, widened)
 
 
 def _by_evidence(

@@ -207,10 +207,7 @@ class LivePage:
         return response
 
     def _done(self, asked: dict[str, Any]) -> str:
-        """Execute a command on the session and return its answer as text. Raises InputError.
-
-        asked : the command, with `do` and its values
-        """
+        """Execute a command on the session and return its answer as text. Raises InputError."""
         session, do = self.session, asked.get("do")
         if do == "type":
             values = asked.get("values")

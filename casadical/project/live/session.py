@@ -47,14 +47,7 @@ TABLE_FILE = "measured.csv"
 NAME_COLUMNS = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
 # Columns that a table may have in addition to what its kind observes.
 OPTIONAL_COLUMNS = (
-    "to_x_mm",
-    "to_y_mm",
-    "to_z_mm",
-    "along_x",
-    "along_y",
-    "along_z",
-    "pose",
-    "other_pose",
+    *("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose"),
     *NAME_COLUMNS,
 )
 
@@ -86,7 +79,15 @@ class LiveSession:
     ) -> None:
         self.folder, self.course, self._add = folder, course, add
         self.target, self._data, self._move = target, data, move
-        _refuse_measured(folder)
+        # Measured tables of an earlier campaign are refused.
+        own = problem_file(folder)
+        others = [t.file for t in own.measurements if t.file != TABLE_FILE]
+        if others and own.data != "synthetic":
+            raise InputError(
+                f"{shown(folder / 'problem.toml')}: names measured poses ({', '.join(others)}), "
+                "and measure would begin again in their place: give a folder of its own, as "
+                'casadical new DIR makes it, or, if they are made up, write data = "synthetic"'
+            )
         self.robot = read_problem_robot(folder)
         self.room: Workspace | None = read_workspace(room, self.robot) if room else None
         self.lock = RLock()
@@ -142,9 +143,9 @@ class LiveSession:
 
     def feed(self, source: Source) -> tuple[list[int], list[str]]:
         """Store and judge new rows of a source; return their numbers, and sentences on faults."""
-        news = source.news()
-        numbers, said, before = list[int](), list(news.said), set[tuple[str, ...]]()
-        for row in news.rows:
+        rows, said = source.news()
+        numbers, before = list[int](), set[tuple[str, ...]]()
+        for row in rows:
             if row.cells in before:
                 said.append(f"{row.source}: is a copy of an earlier row, and counts once")
             before.add(row.cells)
@@ -199,7 +200,7 @@ class LiveSession:
         why : reason, which is stored with it. Raises InputError without a reason or reading.
         """
         with self.lock:
-            self._reading(number)
+            self.course.reading(number)
             if not why.strip():
                 raise InputError("give the reason why the reading is struck out; it is stored with it")
             self._add("strike", id=number, why=" ".join(why.split()))
@@ -208,7 +209,7 @@ class LiveSession:
     def restore(self, number: int) -> None:
         """Let a reading that was struck out count again. Raises InputError for no such reading."""
         with self.lock:
-            self._reading(number)
+            self.course.reading(number)
             self._add("restore", id=number)
             self._judge()
 
@@ -218,17 +219,10 @@ class LiveSession:
         Raises InputError where there is no such reading, or its joints cannot be read.
         """
         with self.lock:
-            self._reading(number)
+            self.course.reading(number)
             if number not in (read := self._read()):
                 raise InputError(f"reading {number}: its joints cannot be read; type the pose")
             self._wish = read[number]
-
-    def _reading(self, number: int) -> Reading:
-        """Return the reading of this number, from 1. Raises InputError where there is none."""
-        try:
-            return self.course.reading(number)
-        except ValueError:
-            raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
     def _read(self) -> dict[int, Array]:
         """Return number of each readable reading -> its joint variables, (joints,) [rad or m]."""
@@ -270,10 +264,7 @@ class LiveSession:
     # Judgement
 
     def _judge(self, *new: int) -> None:
-        """Write and read the table of all readings, and judge each by the others.
-
-        new : numbers of the readings that have just come
-        """
+        """Write and read the table of all readings, and judge each by the others."""
         with self.lock:
             m: Measurements | None = None
             try:
@@ -307,9 +298,6 @@ class LiveSession:
         Each excluded reading gets its reason in `_unreadable`, and the table file is written again.
         None where the table cannot be read without all new readings either; `unread` then says why.
         Older readings that waited for more may have become readable; they are tried first.
-
-        new : numbers of the new readings
-        why : error of the table with all of them
         """
         table: Measurements | None = None
         before, read, whole = self._unreadable, self._read(), ""
@@ -487,17 +475,15 @@ class LiveSession:
             if estimate is not None:
                 errors_mm = 1e3 * np.linalg.norm(estimate.left_out, axis=1)
                 errors_mm, task = errors_mm[np.isfinite(errors_mm)], expected(estimate.robot, self._task, {}, "task")
-                promise = (
-                    np.quantile(errors_mm, 0.95, method="higher")
-                    if len(errors_mm) >= MIN_READINGS_FOR_QUANTILE
-                    else None
-                )
+                highest = None
+                if len(errors_mm) >= MIN_READINGS_FOR_QUANTILE:
+                    highest = float(np.quantile(errors_mm, 0.95, method="higher"))
                 figures = {
                     "readings": len(estimate),
                     "noise_mm": 1e3 * estimate.sigma,
                     "expected_mm": 1e3 * estimate.expected(task),
                     "left_out_mean_mm": float(errors_mm.mean()) if len(errors_mm) >= MAX_REFITTED_READINGS else None,
-                    "promise_mm": None if promise is None else float(promise),
+                    "promise_mm": highest,
                 }
             # Poses that touch something are not planned.
             touches = self.m is not None and find_kind(self.m.kind).touches
@@ -551,10 +537,8 @@ class LiveSession:
 
         Poses [deg or mm] begin with the next one, whose move command is `program`.
         """
-        poses, remaining = (
-            [self._joints(q) for q in (self.next_pose(), *self._remaining_poses()[1:])],
-            len(self._remaining_poses()),
-        )
+        poses = [self._joints(q) for q in (self.next_pose(), *self._remaining_poses()[1:])]
+        remaining = len(self._remaining_poses())
         words = f"{remaining} planned poses remain" if remaining else "all planned poses are measured"
         program = self._move(poses[0]) if self._move else ""
         return {"poses": poses, "program": program, "to_go": remaining, "words": f"{words}; {self._of_plan}"}
@@ -577,16 +561,3 @@ def finished(session: LiveSession) -> str:
         raise InputError(f"nothing was written: {calibrated.worse}")
     calibrated.write(folder / "results")
     return f"{plain_text(calibrated.brief())}\nwrote {folder / 'results'}"
-
-
-def _refuse_measured(folder: Path) -> None:
-    """Refuse tables of an earlier campaign that are not synthetic. Raises InputError."""
-    file = problem_file(folder)
-    others = [t.file for t in file.measurements if t.file != TABLE_FILE]
-    if others and file.data != "synthetic":
-        raise InputError(
-            f"{shown(folder / 'problem.toml')}: names measured poses ({', '.join(others)}), and "
-            "measure would begin again in their place: give a folder of its own, as casadical new "
-            "DIR makes it, or, if they are made up, "
-            'write data = "synthetic"'
-        )

@@ -9,7 +9,7 @@ import json
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock, Thread
@@ -82,9 +82,9 @@ class Course:
             self.reading(event["id"]).struck = ""
 
     def reading(self, number: object) -> Reading:
-        """Return the reading of this number. Raises ValueError where there is none."""
+        """Return the reading of this number, from 1. Raises InputError where there is none."""
         if not (isinstance(number, int) and 1 <= number <= len(self.readings)):
-            raise ValueError(f"no reading {number}")
+            raise InputError(f"there is no reading {number}; the last is {len(self.readings)}")
         return self.readings[number - 1]
 
 
@@ -100,7 +100,7 @@ def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
         try:
             course.follow(json_of(line, source))
         except (KeyError, TypeError, ValueError) as error:
-            why = error if isinstance(error, InputError) else f"{source}: {error}"
+            why = error if str(error).startswith(source) else f"{source}: {error}"
             raise InputError(f"{why}; the journal of what was measured: correct the line, nothing is lost") from None
         end += len(line) + 1
     with appending(path, end) as write:
@@ -133,16 +133,9 @@ class Row:
     source: str
 
 
-@dataclass
-class News:
-    """The answer of a source that is asked for news.
-
-    rows : rows of the table, new ones and often earlier ones too
-    said : sentences on what cannot be read
-    """
-
-    rows: list[Row] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
+# Answer of a source that is asked for news: rows of the table, new ones and often earlier ones too,
+# and sentences on what cannot be read.
+News = tuple[list[Row], list[str]]
 
 
 class FileSource:
@@ -163,19 +156,17 @@ class FileSource:
         except OSError:
             gone = self._size > 0
             self._size = 0
-            return News(said=[f"{self.words}: is gone; the readings stay, and it is waited for"] if gone else [])
+            return [], [f"{self.words}: is gone; the readings stay, and it is waited for"] if gone else []
         if (about.st_mtime_ns, about.st_size) == self._seen:
-            return News()
+            return [], []
         shorter = about.st_size < self._size
         try:
             data = read_bytes(self.path)  # a file that cannot be read now is tried again
             self._seen, self._size = (about.st_mtime_ns, about.st_size), about.st_size
-            new = rows_of(self.path, data)
+            rows, said = rows_of(self.path, data)
         except InputError as error:
-            return News(said=[str(error)])
-        if shorter:
-            new.said.append(f"{self.words}: became shorter; the readings of before stay")
-        return new
+            return [], [str(error)]
+        return rows, said + [f"{self.words}: became shorter; the readings of before stay"] * shorter
 
 
 class FolderSource:
@@ -187,17 +178,18 @@ class FolderSource:
 
     def news(self) -> News:
         """Return all rows of those files that are new or have changed, in the order of names."""
-        new = News()
+        rows: list[Row] = []
+        said: list[str] = []
         tables = {".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet"}
         try:
             paths = sorted(p for p in self.path.iterdir() if p.suffix.lower() in tables and p.is_file())
         except OSError as error:
-            return News(said=[f"{self.words}: {error.strerror}; the readings stay, and it is waited for"])
+            return [], [f"{self.words}: {error.strerror}; the readings stay, and it is waited for"]
         for path in paths:
-            one = self._files.setdefault(path, FileSource(path)).news()
-            new.rows += one.rows
-            new.said += one.said
-        return new
+            new, odd = self._files.setdefault(path, FileSource(path)).news()
+            rows += new
+            said += odd
+        return rows, said
 
 
 class StreamSource:
@@ -233,13 +225,13 @@ class StreamSource:
         with self._lock:
             data, said, self._said = self._data, self._said, []
         if len(data) == self._read or not data:
-            return News(said=said)
+            return [], said
         self._read = len(data)
         try:
-            new = rows_of(Path(self.words), data)
+            rows, odd = rows_of(Path(self.words), data)
         except InputError as error:
-            return News(said=[str(error), *said])
-        return News(new.rows, [*new.said, *said])
+            return [], [str(error), *said]
+        return rows, [*odd, *said]
 
 
 class SimulatedSource:
@@ -263,13 +255,14 @@ class SimulatedSource:
     def news(self) -> News:
         """Return the next simulated reading as a row; none after the last."""
         if self.ended:
-            return News()
+            return [], []
         self._remaining -= 1
         q = self._pose()
         place = expected(self._robot, q[None], {}, self.words).position
         assert place is not None
         cells = reading_cells(self._robot, q, place[0] + self._rng.normal(0.0, SYNTHETIC_NOISE_M, 3))
-        return News([Row((*self._robot.reading_units, "x_mm", "y_mm", "z_mm"), (), tuple(cells), self.words)])
+        header = (*self._robot.reading_units, "x_mm", "y_mm", "z_mm")
+        return [Row(header, (), tuple(cells), self.words)], []
 
 
 # Any source of readings.
@@ -302,37 +295,28 @@ def rows_of(path: Path, data: bytes) -> News:
     whole = data[: data.rfind(b"\n") + 1] if text else data
     said: list[str] = []
     if whole.count(b"\n") < 2 and text:  # headings alone
-        return News()
+        return [], []
     try:
         raw = read_table(path, whole)
     except InputError:
         if not text:
             raise
-        whole, said = _without_odd_lines(path, whole)
-        raw = read_table(path, whole)
+        # Two writers of one file leave unreadable lines, which count as blank.
+        lines = whole.splitlines(keepends=True)
+        good = 2
+        read_table(path, b"".join(lines[:good]))
+        readable = lines[:good]
+        for number, line in enumerate(lines[good:], good + 1):
+            try:
+                read_table(path, b"".join([*lines[:good], line]))
+                readable.append(line)
+            except InputError as error:
+                readable.append(b"\n")
+                why = str(error).removeprefix(f"{path}: ")
+                said.append(f"{shown(path)}, line {number}: is ignored ({why}); correct it there, or type the reading")
+        raw = read_table(path, b"".join(readable))
     rows = []
     for line, cells in zip(raw.line, raw.cells, strict=True):
         wide = tuple(cells) + ("",) * (len(raw.header) - len(cells))
         rows.append(Row(raw.header, raw.form.units, wide, f"{raw.path.name}, line {line}"))
-    return News(rows, said)
-
-
-def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
-    """Return a table's content with its unreadable lines blank, and a sentence on each of these.
-
-    Such lines result from two writers of one file. Raises InputError if the first two lines cannot
-    be read.
-    """
-    lines = data.splitlines(keepends=True)
-    good, said = 2, []
-    read_table(path, b"".join(lines[:good]))
-    readable = lines[:good]
-    for number, line in enumerate(lines[good:], good + 1):
-        try:
-            read_table(path, b"".join([*lines[:good], line]))
-            readable.append(line)
-        except InputError as error:
-            readable.append(b"\n")
-            why = str(error).removeprefix(f"{path}: ")
-            said.append(f"{shown(path)}, line {number}: is ignored ({why}); correct it there, or type the reading")
-    return b"".join(readable), said
+    return rows, said

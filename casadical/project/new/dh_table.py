@@ -32,16 +32,7 @@ from casadical.project.new.texts import ROBOT_HEAD
 from casadical.robot.axes import Axis, rows_from_axes
 
 # Columns of a table of DH rows that have the DH parameters.
-_ROW_COLUMNS = [
-    f"{stem}{unit}"
-    for stem, units in (
-        ("a", ("_mm", "_m")),
-        ("alpha", ("_deg", "_rad")),
-        ("d", ("_mm", "_m")),
-        ("theta", ("_deg", "_rad")),
-    )
-    for unit in units
-]
+_ROW_COLUMNS = ["a_mm", "a_m", "alpha_deg", "alpha_rad", "d_mm", "d_m", "theta_deg", "theta_rad"]
 # Columns of a table of DH rows that have the joint limits.
 _LIMIT_COLUMNS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
 # Columns of a table of DH rows that have mass and mass centre of the link.
@@ -132,7 +123,6 @@ def _refuse_non_finite(table: RawTable) -> None:
 def _joint_text(row: Mapping[str, Any], where: str) -> str:
     """Return the [[joint]] table of one row of the DH table as TOML text.
 
-    row : cells by casadical's column name; where : file and row, for messages
     Raises InputError.
     """
     keys = [key for key in (*_ROW_COLUMNS, *_LIMIT_COLUMNS, *_BODY_COLUMNS, "stiffness_Nm_per_rad") if key in row]

@@ -155,7 +155,11 @@ def new_problem(
     made = given is not None and bool(given.said)  # then the folder has the table as it was rearranged
     file = f"poses{tables[0].suffix.lower() if tables and tables[0].suffix and not made else '.csv'}"
     texts |= {
-        file: _text(given) if made and given else read_bytes(tables[0]) if tables else synthetic_poses(robot, seed),
+        file: given.frame.to_csv(index=False, lineterminator="\n")
+        if made and given
+        else read_bytes(tables[0])
+        if tables
+        else synthetic_poses(robot, seed),
         "problem.toml": problem_text(
             robot,
             understood if tables else None,
@@ -180,7 +184,12 @@ def new_problem(
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
-        problem = _read_trial(trial, tables[0] if tables and not made else None, file)
+        try:
+            problem = read_problem(trial)
+        except InputError as error:  # which names the user's table, not its copy
+            said = str(error).replace(f"{trial}/", "")
+            said = said.replace(file, str(tables[0])) if tables and not made else said
+            raise InputError(said) from None
     files = {folder / name: text for name, text in texts.items()}
     further = also(problem, sorted(files))
     with claimed([folder]):
@@ -203,11 +212,6 @@ def _table(paths: Sequence[Path], headings: str) -> RawTable:
         if headings and (len(tables) == 1 or not raw.form.header_line):
             tables[k] = with_headings(raw, [name.strip() for name in headings.split(",")])
     return long(joined(tables))
-
-
-def _text(raw: RawTable) -> str:
-    """Return a rearranged table as CSV, one line of headings first."""
-    return raw.frame.to_csv(index=False, lineterminator="\n")
 
 
 def _before_gripper(urdf: Path | None, base_link: str | None, tip_link: str | None, joint: int) -> str:
@@ -259,7 +263,6 @@ def _understood(
     are shown by `show`.
 
     camera : where the camera is, empty if unknown; lens : its intrinsics, as named by INTRINSICS
-    before : returns how to end the arm before a joint, as a sentence
     """
     meaning = understood(raw, robot, {})
     if show:
@@ -273,7 +276,13 @@ def _understood(
     columns = Columns.of_file(raw).mapped(meaning.sources)
     columns = replace(columns, table=columns.table.assign(**lens))
     kind = next((kind for kind in kinds().values() if kind.matches({*map(str, columns.table)})), None)
-    tools, rare = tools_in(columns)
+    flags = columns.tools()
+    order = sorted(flags, key=lambda name: -flags[name].sum())
+    names = {name: name.removeprefix("tool_") for name in order}
+    # The rows of a target with fewer poses are omitted: they do not determine its point.
+    few = [name for name in order if flags[name].sum() < 3 and len(order) > 1]
+    rare = {int(line): f"one of few of target {names[n]}" for n in few for line in columns.row[flags[n] > 0]}
+    tools = tuple(names[name] for name in order if name not in few)
     left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
     turned = kind is not None and kind.angles > 0
     tilt, said, poses = _tilt(columns.without(left_out, "the table"), robot, camera)
@@ -340,20 +349,6 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     return tilt, said, m
 
 
-def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
-    """Return the targets with three poses or more, the most measured first, and the others' rows.
-
-    The latter map row of the file -> reason why it is omitted. A single target needs no three.
-    """
-    flags = columns.tools()
-    order = sorted(flags, key=lambda name: -flags[name].sum())
-    names = {name: name.removeprefix("tool_") for name in order}
-    # The rows of a target with fewer poses are omitted: they do not determine its point.
-    few = [name for name in order if flags[name].sum() < 3 and len(order) > 1]
-    rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[flags[n] > 0]}
-    return tuple(names[name] for name in order if name not in few), rare
-
-
 def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
     """Return a table of the meaning of each column, and a note on unused columns.
 
@@ -402,15 +397,3 @@ def _robot_files(
         robot = with_estimated_masses(robot)
         text = with_masses(text, robot, 'convention = "standard"' in text)
     return {"robot.toml": text}, robot
-
-
-def _read_trial(folder: Path, data: Path | None, file: str) -> Problem:
-    """Return the problem in the folder that was written on trial.
-
-    Raises InputError that names the user's table `data` in place of its copy `file`.
-    """
-    try:
-        return read_problem(folder)
-    except InputError as error:
-        text = str(error).replace(f"{folder}/", "")
-        raise InputError(text.replace(file, str(data)) if data else text) from None

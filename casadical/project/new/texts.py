@@ -185,6 +185,26 @@ def problem_text(
     compliant = any(j.compliance is not None for j in robot.joints)
     # The line of problem.toml on the origin of measured data.
     data_line = '# data = "real"                    # or "synthetic"; printed above every result'
+    held = given or Given()
+    lines = [f'kind = "{held.kind}"'] if held.kind else []
+    if held.inverted or held.camera:
+        inverted = f"inverted = {str(held.inverted).lower()}"
+        lines.append(f"{inverted:35s}# whether the table has poses of the fixed frame in the tool")
+    if held.camera:
+        camera = f'camera = "{held.camera}"'
+        lines.append(f'{camera:35s}# "in hand", with its target at rest; or "to base", with its target on the robot')
+    if held.lens:
+        fx, fy, cx, cy, *distortion = held.lens.values()
+        lines.append(f"intrinsics = {{ fx = {fx}, fy = {fy}, cx = {cx}, cy = {cy}, distortion = {distortion} }}")
+    if held.left_out:
+        lines += ["leave_out = [                      # rows of the file"]
+        lines += [f"    {row}, # {why}" for row, why in held.left_out.items()]
+        lines += ["]"]
+    if held.columns:
+        lines += ["", "[measurements.columns]             # our name = the file's heading"]
+        lines += [f"{ours} = {as_toml(source).as_string()}" for ours, source in held.columns.items()]
+    else:
+        lines.append('# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ')
     return _PROBLEM_TEMPLATE.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
         data=data_line if given else 'data = "synthetic"',
@@ -192,40 +212,13 @@ def problem_text(
         robot="robot.urdf" if links else "robot.toml",
         methods='"KM", "SKCM"',
         why=f"             # geometry; geometry and joint compliance{'' if compliant else ', where the data carry it'}",
-        urdf=_urdf_lines(links, given or Given()) if links else "",
+        urdf=_urdf_lines(links, held) if links else "",
         file=file,
-        columns=_column_lines(given or Given()),
+        columns="\n".join([*lines, ""]),
         sets='column = "set"                     # of poses.csv: names every pose\'s set'
         if named_sets
         else f"seed = {seed}\n{share}".rstrip(),
     )
-
-
-def _column_lines(given: Given) -> str:
-    """Return the keys of [[measurements]] that a table needs, as TOML text.
-
-    They are kind, inverted, camera, intrinsics, leave_out and columns.
-    """
-    lines = [f'kind = "{given.kind}"'] if given.kind else []
-    if given.inverted or given.camera:
-        inverted = f"inverted = {str(given.inverted).lower()}"
-        lines.append(f"{inverted:35s}# whether the table has poses of the fixed frame in the tool")
-    if given.camera:
-        camera = f'camera = "{given.camera}"'
-        lines.append(f'{camera:35s}# "in hand", with its target at rest; or "to base", with its target on the robot')
-    if given.lens:
-        fx, fy, cx, cy, *distortion = given.lens.values()
-        lines.append(f"intrinsics = {{ fx = {fx}, fy = {fy}, cx = {cx}, cy = {cy}, distortion = {distortion} }}")
-    if given.left_out:
-        lines += ["leave_out = [                      # rows of the file"]
-        lines += [f"    {row}, # {why}" for row, why in given.left_out.items()]
-        lines += ["]"]
-    if given.columns:
-        lines += ["", "[measurements.columns]             # our name = the file's heading"]
-        lines += [f"{ours} = {as_toml(source).as_string()}" for ours, source in given.columns.items()]
-    else:
-        lines.append('# columns = { x_mm = "X" }         # our name = the file\'s name, where headers differ')
-    return "\n".join([*lines, ""])
 
 
 def _urdf_lines(links: tuple[str | None, str | None], given: Given) -> str:

@@ -23,7 +23,7 @@ def test_friction_of_joint_3_of_a_four_bar_holds_the_crank_back():
         cranks = []
         for came in (-1.0, 1.0):
             moving.rest(Stop(q, np.full(6, came), start(machine, q), 0.0))
-            cranks.append(moving.coordinate("joint3"))
+            cranks.append(moving.data.joint("joint3").qpos[0])
         assert cranks[0] - cranks[1] == pytest.approx(100e-6, rel=0.03)
 
 

@@ -36,7 +36,7 @@ def test_a_loose_anchor_tips_to_one_side_or_the_other_and_no_further():
     tips = []
     for q in drawn(machine, 30):
         moving.rest(Stop(q, np.ones(6), start(machine, q), machine.payload_kg))
-        tips.append(moving.coordinate("tip"))
+        tips.append(moving.data.joint("tip").qpos[0])
     assert np.abs(tips).max() < 50.1e-6
     assert np.mean(np.abs(tips) > 49e-6) > 0.5
     assert {np.sign(t) for t in tips} == {-1.0, 1.0}

@@ -400,7 +400,7 @@ def test_the_journal_is_lines_of_json(small: Path) -> None:
     assert [e["do"] for e in events] == ["begin", "read", "read"]
     assert casadical.read_problem(small).data == "real"
     (small / "measured.jsonl").write_text('{"do": "strike", "at": "", "id": 5, "why": "x"}\n')
-    with pytest.raises(InputError, match="line 1: no reading 5"), journal(small):
+    with pytest.raises(InputError, match="line 1: there is no reading 5"), journal(small):
         pass
 
 
@@ -438,7 +438,7 @@ def test_a_pipe_is_followed_until_its_writer_closes_it(small: Path, monkeypatch)
 
 def test_a_simulated_reading_is_of_a_robot_as_built() -> None:
     arm, q = casadical.read_robot(ROOT / "problems/ur10/robot.toml"), np.linspace(0.3, -1.2, 6)
-    (row,) = SimulatedSource(arm, lambda: q, 1).news().rows
+    (row,), _ = SimulatedSource(arm, lambda: q, 1).news()
     told = np.array([float(cell) for cell in row.cells])
     np.testing.assert_allclose(np.deg2rad(told[:6]), q, atol=1e-7)
     place = predicted(as_built(arm, np.random.default_rng(0)), unmeasured(q[None]))[0][0]
