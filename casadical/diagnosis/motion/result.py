@@ -286,17 +286,22 @@ class LogDiagnosis(Result):
         }
 
     @property
-    def causes(self) -> list[dict[str, Any]]:
-        """Return faults of the log, stops with their angles, and named causes, as plain data."""
+    def certain(self) -> list[dict[str, Any]]:
+        """Return faults of the log, and stops with their angles, as plain data."""
         faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
-        stops = ({**_plain(f"contact@{s.joint + 1}", 1.0), "angle_rad": s.angle} for s in self.stops)
-        return [*faults, *stops, *(_plain(f.label, f.probability) for f in self.named)]
+        return [*faults, *({**_plain(f"contact@{s.joint + 1}", 1.0), "angle_rad": s.angle} for s in self.stops)]
+
+    @property
+    def causes(self) -> list[dict[str, Any]]:
+        """Return what is `certain`, and named causes, as plain data."""
+        return [*self.certain, *(_plain(f.label, f.probability) for f in self.named)]
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
-        """Return the ten most probable first causes as plain data, with log evidence [nats]."""
+        """Return what is `certain`, and the ten most probable first causes with log evidence [nats], as plain data."""
         first = self.outcome.rankings[0]
-        return [{**_plain(k, first.probability[k]), "log_evidence": first.log_factor[k]} for k in first.order[:10]]
+        fits = [{**_plain(k, first.probability[k]), "log_evidence": first.log_factor[k]} for k in first.order[:10]]
+        return [*self.certain, *fits]
 
 
 def _plain(label: str, probability: float) -> dict[str, Any]:
