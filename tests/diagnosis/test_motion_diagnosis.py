@@ -24,6 +24,7 @@ from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, Found, joint_of, smo
 from casadical.diagnosis.motion.hypotheses import _plateaus
 from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, lagged, motion_of
+from casadical.diagnosis.motion.view import log_view
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import effects_by_name
 from casadical.measurements.logs.findings import with_signs
@@ -272,10 +273,29 @@ def test_faults_of_the_log_itself():
     lost = (~kept).sum() / (len(log) - 2)  # of the steps of both runs, none lost at their ends
     assert f"missing ({100 * lost:.1f} %) or repeated (0.0 %)" in fault.sentence
     slow = JointLog(log.time * 1.04, log.joints, log.position, log.command, current=log.current, run=log.run)
-    assert [f.name for f in diagnose_log(ROBOT, slow).faults] == ["clock_scale"]
+    found = diagnose_log(ROBOT, slow)
+    assert [f.name for f in found.faults] == ["clock_scale"]
+    assert found.ranking[0] == {"effect": "clock_scale", "joint": None, "probability": 1.0}
     sizes = replace(log, current=None if log.current is None else np.abs(log.current))
     assert diagnose_log(ROBOT, with_signs(sizes)).verdict == "explained"
     assert [f.name for f in diagnose_log(ROBOT, with_signs(sizes)).faults] == ["unsigned_current"]
+
+
+def test_gears_yield_to_the_torque_of_the_bodies_and_not_to_friction_at_the_motor():
+    log, arm = simulated(1), arm_of(ROBOT)
+    yields = [np.zeros_like(log.position[log.run == run]) for run in (1, 2)]
+    for run, out in zip((1, 2), yields, strict=True):
+        q = log.position[log.run == run]
+        v = np.gradient(q, 1 / RATE, axis=0)
+        out[:] = arm.regressor(q, v, np.gradient(v, 1 / RATE, axis=0)) @ arm.inertial / 1e4
+    elastic = replace(log, command=log.command + np.concatenate(yields))
+    soft = replace(arm, joint_stiffness=np.full(3, 1e4))
+    rigid, found, before = (
+        log_view(motion_of(own, of), of).response.std(axis=0)
+        for own, of in ((log, arm), (elastic, soft), (elastic, arm))
+    )
+    assert (before > 3 * rigid).all()
+    assert (found < 1.2 * rigid).all()
 
 
 def table(log):
@@ -514,7 +534,7 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
     assert "toy_tooth" not in motion_effects()
 
 
-@pytest.mark.parametrize(("gain", "rival", "fits"), [(70.0, 69.0, True), (70.0, 71.0, False), (30.0, 0.0, False)])
+@pytest.mark.parametrize(("gain", "rival", "fits"), [(70.0, 69.0, True), (70.0, 71.0, False), (39.0, 0.0, False)])
 def test_a_cause_fits_with_evidence_that_no_smooth_function_exceeds(gain, rival, fits):
     assert Found("spring@2", 0, True, 1.0, ("spring@2",), gain, rival).fits is fits
 

@@ -32,11 +32,11 @@ NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
 MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
 MAX_CAUSES = 3  # largest number of causes that are searched for
 MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
-MIN_EVIDENCE = 30.0  # smallest log evidence [nats] with which a cause enters the model
+MIN_EVIDENCE = 20.0  # smallest log evidence [nats] with which a cause enters the model
 # Causes that never count as fitting: on logs on which the rule was learnt they stood for errors of
 # the base.
 DOUBTFUL_CAUSES = frozenset(["play", "link_mass", "torque_constant"])
-MIN_FIT_EVIDENCE = 50.0  # smallest log evidence [nats] of a cause that fits
+MIN_FIT_EVIDENCE = 40.0  # smallest log evidence [nats] of a cause that fits
 # The same [nats] of causes that small errors of the base resemble (of lags on healthy simulated
 # logs it was up to 52).
 MIN_EVIDENCE_BY_CAUSE = dict.fromkeys(("lag", "transport_delay", "warm_up"), 80.0)

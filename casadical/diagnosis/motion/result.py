@@ -298,7 +298,7 @@ class LogDiagnosis(Result):
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
-        """Return what is `certain`, and the ten most probable first causes with log evidence [nats], as plain data."""
+        """Return what is `certain`, then the ten likeliest first causes with log evidence [nats]."""
         first = self.outcome.rankings[0]
         fits = [{**_plain(k, first.probability[k]), "log_evidence": first.log_factor[k]} for k in first.order[:10]]
         return [*self.certain, *fits]

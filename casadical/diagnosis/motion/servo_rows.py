@@ -249,7 +249,8 @@ def _descended(
     def evaluate(x: Array) -> Evaluated:
         """Return cost and normal equations of all joints at x."""
         rows, aside = _linearised(replay, x, mean, covariance, sigma).rows, mean - x
-        grams = [[each / s2 for each in r.grams] for r, s2 in zip(rows, variance, strict=True)]
+        sums = ((*r.grams, s2) for r, s2 in zip(rows, variance, strict=True))
+        grams = [(H / s2, b / s2, square / s2) for H, b, square, s2 in sums]
         pull = (prior @ aside[..., None])[..., 0]
         cost = np.array([square for *_, square in grams]) + (aside * pull).sum(axis=1)
         return cost, lambda of: (

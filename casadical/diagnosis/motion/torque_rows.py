@@ -19,10 +19,12 @@ STRIBECK_SPEED_RAD_S = 0.05  # speed at which the excess of friction at low spee
 FRICTION_GROUPS = (("slip", "dip"), ("viscous", "curved"), ("loaded", "by side"), ("warm", "warm viscous"))
 WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
 DAILY_GROUP_SHARE = 0.13  # prior sigma of the relative daily change of a joint's group of frictions
-DAILY_JOINT_SHARE = 0.1  # prior sigma of the relative daily change of all frictions of a joint
+DAILY_JOINT_SHARE = 0.07  # prior sigma of the relative daily change of all frictions of a joint
 DAILY_CLOCK_S = 4e-3  # prior standard deviation of the change of all delays from log to log [s]
-# Prior sigmas of other coefficients' daily changes, by name: delay [s], else by the peak torque.
-DAILY_SIGMAS = {"offset": 0.01, "scale": 0.003, "rotor": 0.01, "delay": 5e-4, "cold": 0.01, "cold viscous": 0.01}
+# Prior sigmas of other coefficients' daily changes, by name: delay [s], gain (a number in the
+# drive) relative, else by the peak torque.
+DAILY_SIGMAS = {"offset": 0.01, "scale": 0.003, "rotor": 0.01, "delay": 5e-4, "gain": 5e-3}
+DAILY_SIGMAS |= {"cold": 0.01, "cold viscous": 0.01}
 DAILY_FRICTION_SIGMA = 0.004  # prior sigma of a friction's daily change, divided by the peak torque
 DAILY_SERVO_SHARE = 0.1  # prior sigma of the daily change of coefficients of position errors, by their prior
 BASE_TORQUE_NOISE = 0.01  # typical sigma of a torque's noise / peak torque, see `log_view`
@@ -78,14 +80,11 @@ def _servo_columns(view: LogView, j: int) -> dict[str, tuple[Array, float]]:
         columns["gain"] = variables["servo"][:, j], 0.15
     else:
         columns["yields"] = m.torque[:, j] / view.peak_torque[j], 5e-3
-    side = 2e-4
     if arm.joint_stiffness is not None and np.isfinite(arm.joint_stiffness[j]):
-        # The gear does not transmit the friction between itself and the motor.
-        deflects = view.peak_torque[j] / arm.joint_stiffness[j]
-        columns["gear"] = m.torque[:, j] / arm.joint_stiffness[j], 0.5
-        columns["gear by speed"] = variables["speed"][:, j] * deflects, 0.3
-        side += 0.3 * deflects
-    return columns | {"side": (np.sign(m.v[:, j]), side)}
+        load = variables["load"][:, j] * view.peak_torque[j]
+        columns["gear"] = load / arm.joint_stiffness[j], 0.3
+        columns["gear friction"] = (m.torque[:, j] - load) / arm.joint_stiffness[j], 0.3
+    return columns | {"side": (np.sign(m.v[:, j]), 2e-4)}
 
 
 def torque_problem(views: Sequence[LogView]) -> LogProblem:

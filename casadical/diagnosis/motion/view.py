@@ -86,7 +86,7 @@ def log_view(motion: Motion, arm: Arm, peak_torque: Array | None = None) -> LogV
     peak_torque = np.quantile(np.abs(torque), 0.99, axis=0) + 1e-9 if peak_torque is None else peak_torque
     response = None
     if m.torque is not None and m.command is not None:
-        response, servo = _response_residual(m, arm, torque)
+        response, servo = _response_residual(m, arm, torque, model)
     variables = _variables(m, arm, peak_torque, torque, model, Y)
     if servo is not None:
         variables["servo"] = servo
@@ -110,18 +110,20 @@ def _servo_gains(m: Motion, model: Array, arm: Arm) -> Array:
     return np.asarray(1 / np.where(good, slope, usual))
 
 
-def _response_residual(m: Motion, arm: Arm, torque: Array) -> tuple[Array, Array | None]:
+def _response_residual(m: Motion, arm: Arm, torque: Array, model: Array) -> tuple[Array, Array | None]:
     """Return the residual of the position error, and its part by the servo's equation.
 
     Both have shape (samples, joints) [rad]; the second is None where the gain is not declared. The
-    deflection of the gears, if their stiffness is declared, is subtracted, too.
+    deflection of the gears, if their stiffness is declared, is subtracted, too. Gears transmit the
+    torque of the bodies; friction acts in front of them, at the motor.
+    torque, model : torques, logged and of the bodies, shape (samples, joints) [N m]
     """
     assert m.command is not None
     assert m.command_v is not None
     assert m.command_a is not None
     n, residual = arm.joints, m.command - m.position
     if arm.joint_stiffness is not None:
-        residual = residual - torque / arm.joint_stiffness
+        residual = residual - model / arm.joint_stiffness
     if arm.kp is None:
         return residual, None
     forward = arm.regressor(m.command, m.command_v, m.command_a) @ arm.inertial
