@@ -106,15 +106,46 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
     """Return the candidates for changes that move at least one of the p parameters `names`.
 
+    Those of joints and four-bars come first, then lengths, tool, foot (the base) and another robot,
+    then effects. But for the lengths, which have one column, parameters change independently.
+
     robot : robot with the harmonics of its joints as its last effect
     """
     chosen = [robot.parameters[n] for n in names]
-    effects = [
-        _candidate("effect", effect.joint, [p.name for p in effect.parameters()], chosen, effect.label)
-        for effect in robot.effects[:-1]
-    ]
-    candidates = [*_joint_candidates(robot, chosen), *_robot_candidates(chosen), *effects]
-    return tuple(c for c in candidates if c.names)
+    place = {p.name: k for k, p in enumerate(chosen)}
+    found: list[Candidate] = []
+
+    def add(kind: str, joint: int | None, names: Iterable[str], effect: str = "") -> None:
+        """Add the candidate whose parameters are those of `names` that are shared, unless none is."""
+        if own := tuple(n for n in names if n in place):
+            at = [place[n] for n in own]
+            sizes = np.array([_usual_size(kind, chosen[k]) / chosen[k].scale for k in at])
+            found.append(Candidate(kind, joint, own, np.eye(len(chosen))[:, at], sizes, effect))
+
+    for j, joint in enumerate(robot.joints, 1):
+        zero = f"theta{j}" if joint.kind == "revolute" else f"d{j}"
+        curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, MAX_COMPARED_HARMONIC + 1) for w in "sc"]
+        row = {f"alpha{j - 1}", f"a{j - 1}", f"beta{j - 1}", f"b{j - 1}", f"d{j}", f"theta{j}"} - {zero}
+        add("joint_zero", j, [zero])
+        add("joint_stiffness", j, [f"c{j}"])
+        add("joint_curve", j, curve)
+        if joint.compliance is not None:
+            add("gear", j, [zero, f"c{j}", *curve])
+        if j > 1 or robot.base.unknown == "none":  # else the first row is part of the base's pose
+            add("link", j, [p.name for p in chosen if p.name in row and p.group == "geometry"])
+    for k in range(1, len(robot.loops) + 1):
+        add("loop", k, [f"L{n}{'' if k == 1 else f'_{k}'}" for n in (3, 4, 5)])
+    lengths = [p.unit == "m" and p.group in ("geometry", "loop", "tool") for p in chosen]
+    growth = np.array([[p.value / p.scale * own] for p, own in zip(chosen, lengths, strict=True)])
+    if growth.any():
+        grown = tuple(p.name for p, own in zip(chosen, growth[:, 0], strict=True) if own)
+        found.append(Candidate("lengths", None, grown, growth, np.array([USUAL_GROWTH])))
+    add("tool", None, [p.name for p in chosen if p.group == "tool"])
+    add("foot", None, [p.name for p in chosen if p.group == "base"])
+    add(ANOTHER_ROBOT, None, names)
+    for effect in robot.effects[:-1]:
+        add("effect", effect.joint, [p.name for p in effect.parameters()], effect.label)
+    return tuple(found)
 
 
 def daily(candidates: Sequence[Candidate]) -> Array:
@@ -126,23 +157,6 @@ def daily(candidates: Sequence[Candidate]) -> Array:
     own = [c for c in candidates if c.kind in DAILY_SIGMAS]
     roots = [c.columns * c.sizes * (DAILY_SIGMAS[c.kind] / usual[c.kind]) for c in own]
     return np.hstack([candidates[0].columns[:, :0], *roots])
-
-
-def _candidate(
-    kind: str, joint: int | None, names: Iterable[str], all_: Sequence[Parameter], effect: str = ""
-) -> Candidate:
-    """Return a candidate whose parameters change independently, each along a column of its own.
-
-    kind, joint, effect : as of `Candidate`
-    names : parameters that change; those not in `all_` are dropped
-    all_ : the p shared parameters
-    """
-    place = {p.name: k for k, p in enumerate(all_)}
-    own = tuple(n for n in names if n in place)
-    E = np.zeros((len(all_), len(own)))
-    E[[place[n] for n in own], range(len(own))] = 1.0
-    sizes = np.array([_usual_size(kind, all_[place[n]]) / all_[place[n]].scale for n in own])
-    return Candidate(kind, joint, own, E, sizes, effect)
 
 
 def _usual_size(kind: str, p: Parameter) -> float:
@@ -166,43 +180,6 @@ def _usual_size(kind: str, p: Parameter) -> float:
     usual_length_change_m = 3e-4
     usual_angle_change_rad = 3e-4
     return usual_length_change_m if p.unit == "m" else usual_angle_change_rad
-
-
-def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
-    """Yield the candidates of each joint and four-bar; some of them may have no parameters.
-
-    chosen : the p shared parameters
-    """
-    for j, joint in enumerate(robot.joints, 1):
-        zero = f"theta{j}" if joint.kind == "revolute" else f"d{j}"
-        curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, MAX_COMPARED_HARMONIC + 1) for w in "sc"]
-        row = {f"alpha{j - 1}", f"a{j - 1}", f"beta{j - 1}", f"b{j - 1}", f"d{j}", f"theta{j}"} - {zero}
-        yield _candidate("joint_zero", j, [zero], chosen)
-        yield _candidate("joint_stiffness", j, [f"c{j}"], chosen)
-        yield _candidate("joint_curve", j, curve, chosen)
-        if joint.compliance is not None:
-            yield _candidate("gear", j, [zero, f"c{j}", *curve], chosen)
-        geometry = [p.name for p in chosen if p.name in row and p.group == "geometry"]
-        if j > 1 or robot.base.unknown == "none":  # else the first row is part of the base's pose
-            yield _candidate("link", j, geometry, chosen)
-    for k in range(1, len(robot.loops) + 1):
-        tail = "" if k == 1 else f"_{k}"
-        yield _candidate("loop", k, [f"L{n}{tail}" for n in (3, 4, 5)], chosen)
-
-
-def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
-    """Yield the candidates of the whole robot: lengths, tool, foot (the base), another robot.
-
-    chosen : the p shared parameters
-    """
-    lengths = [(k, p) for k, p in enumerate(chosen) if p.unit == "m" and p.group in ("geometry", "loop", "tool")]
-    E = np.zeros((len(chosen), 1))
-    for k, p in lengths:
-        E[k] = p.value / p.scale
-    yield Candidate("lengths", None, tuple(p.name for _, p in lengths if p.value), E, np.array([USUAL_GROWTH]))
-    yield _candidate("tool", None, [p.name for p in chosen if p.group == "tool"], chosen)
-    yield _candidate("foot", None, [p.name for p in chosen if p.group == "base"], chosen)
-    yield _candidate(ANOTHER_ROBOT, None, [p.name for p in chosen], chosen)
 
 
 # Grid of the ratio of a change's prior standard deviation to its usual size.

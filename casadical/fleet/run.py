@@ -262,8 +262,7 @@ def run_fleet(
             raise InputError(f"{shown(place)}: this store cannot be written to; change its permissions or its place")
         stored, damaged = rows(place)
         stored_rows = stored.set_index("robot")
-        robots, prints, notes = _without_copies(robots, stored_rows)
-        pending, renamed, said = _to_compute(robots, prints, stored_rows, with_diagnosis)
+        robots, pending, renamed, notes = _to_compute(robots, stored_rows, with_diagnosis)
         for row in records(stored[stored["robot"].isin(renamed)]):
             name = renamed[row["robot"]]
             add(place, {**row, "robot": name, "folder": str(robots[name].resolve())})
@@ -283,7 +282,7 @@ def run_fleet(
             raise KeyboardInterrupt(f"interrupted; {count} of {total} {again}") from None
         whole, _ = rows(place)
     whole = whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True)
-    return fleet_of(whole, (*damaged, *notes, *said), len(pending))
+    return fleet_of(whole, (*damaged, *notes), len(pending))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
@@ -307,15 +306,18 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
     return robots
 
 
-def _without_copies(
-    robots: dict[str, Path], stored_rows: pd.DataFrame
-) -> tuple[dict[str, Path], dict[str, str], list[str]]:
-    """Return the robots whose files differ, the fingerprints of all by name, and notes on copies.
+def _to_compute(
+    robots: dict[str, Path], stored_rows: pd.DataFrame, with_diagnosis: bool
+) -> tuple[dict[str, Path], list[str], dict[str, str], list[str]]:
+    """Return robots whose files differ, those to compute, new names by old ones, and notes.
 
-    Of robots with equal files the one that the store already has is returned.
+    Of robots with equal files the one that the store already has is returned. A robot is computed
+    if the store has no successful row of its present files. It counts as renamed if the store has
+    its files under a name that is no longer given.
 
     robots : problem folders by name
     stored_rows : rows of the store, indexed by the robot's name
+    with_diagnosis : whether a row without a diagnosis counts as not computed
     """
     prints: dict[str, str] = {}
     for name, folder in robots.items():
@@ -326,38 +328,22 @@ def _without_copies(
     stored, first = stored_rows["fingerprint"].to_dict(), dict[str, str]()
     for name in sorted(robots, key=lambda n: (stored.get(n) != prints[n], n)):
         first.setdefault(prints[name] or name, name)
-    of = {name: first[prints[name] or name] for name in robots}
-    said = [
-        f"{name} has the same files as {of[name]}: a copy, counted once, without a row; remove one"
-        for name in robots
-        if of[name] != name
-    ]
-    return {name: folder for name, folder in robots.items() if of[name] == name}, prints, said
-
-
-def _to_compute(
-    robots: dict[str, Path], prints: dict[str, str], stored_rows: pd.DataFrame, with_diagnosis: bool
-) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return the names of robots to compute, new names of renamed robots by old ones, and notes.
-
-    A robot is computed if the store has no successful row of its present files. It counts as
-    renamed if the store has its files under a name that is no longer given.
-
-    robots : problem folders by name; prints : fingerprint of each robot
-    stored_rows : rows of the store, indexed by the robot's name
-    with_diagnosis : whether a row without a diagnosis counts as not computed
-    """
-    pending: list[str] = []
-    renamed: dict[str, str] = {}
-    gone = {now: str(name) for name, now in stored_rows["fingerprint"].items() if name not in prints and now}
-    for name in robots:
-        row, now = stored_rows.loc[name] if name in stored_rows.index else None, prints[name]
+    gone = {now: str(name) for name, now in stored.items() if name not in prints and now}
+    distinct, pending, renamed, notes = dict[str, Path](), list[str](), dict[str, str](), list[str]()
+    for name, folder in robots.items():
+        now = prints[name]
+        if (original := first[now or name]) != name:
+            copy = "a copy, counted once, without a row; remove one"
+            notes.append(f"{name} has the same files as {original}: {copy}")
+            continue
+        distinct[name] = folder
+        row = stored_rows.loc[name] if name in stored_rows.index else None
         if row is None and now in gone:
             renamed[gone[now]] = name
         elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):
             pending.append(name)
     words = "{} has the files of {}, whose folder is not there: taken for it, renamed"
-    return pending, renamed, [words.format(name, old) for old, name in renamed.items()]
+    return distinct, pending, renamed, [*notes, *(words.format(name, old) for old, name in renamed.items())]
 
 
 def _computed(
@@ -419,7 +405,17 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         try:
             if scheduler is not None:
                 client = stack.enter_context(distributed.Client(scheduler, timeout="10s"))
-                _refuse_other_versions(client, scheduler)
+                versions = client.run(locate, "casadical.__version__")
+                if not versions:
+                    remedy = f"start one there: dask worker {scheduler}"
+                    raise InputError(f"{scheduler}: no worker is connected; {remedy}")
+                for worker, version in versions.items():
+                    if version != __version__:
+                        raise InputError(
+                            f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; "
+                            f"this is casadical {__version__}: install the same one there, and start "
+                            "the worker again"
+                        )
             else:  # on the loopback interface; by default Dask serves its pages on all
                 host = "127.0.0.1"
                 options = {"host": host, "dashboard_address": f"{host}:0", "silence_logs": 50}
@@ -428,24 +424,6 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
         except (OSError, TimeoutError) as error:
             raise InputError(f"{scheduler or 'local cluster'}: no scheduler answers: {error}") from None
         yield client
-
-
-def _refuse_other_versions(client: Any, scheduler: str) -> None:
-    """Check that a scheduler has workers and all of them this version of casadical.
-
-    client : dask client of the scheduler at the address `scheduler`
-    Raises InputError: there is none, or one has another version.
-    """
-    versions = client.run(locate, "casadical.__version__")
-    if not versions:
-        raise InputError(f"{scheduler}: no worker is connected; start one there: dask worker {scheduler}")
-    for worker, version in versions.items():
-        if version != __version__:
-            raise InputError(
-                f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; "
-                f"this is casadical {__version__}: install the same one there, and start the "
-                "worker again"
-            )
 
 
 def dask_setup(_worker: Any) -> None:

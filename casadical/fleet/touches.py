@@ -31,7 +31,7 @@ from casadical.project.acceptance.verification import without_instrument
 from casadical.project.planning import poses_of_changes
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
-from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
+from casadical.robot.robot import RemainingErrors, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
 # Smallest probability of an error within the tolerance at which the calibration is reported as
@@ -187,11 +187,20 @@ class Touches(Result):
             if v and n in self.given.parameters.names
         }
         note = f"Corrected by touches of {self.model.days[-1].source}: {self.change_in_words}"
-        robot = replace(self.given.with_values(values), notes=(*self.given.notes, note))
+        knowledge, names = self.given.knowledge, self.model.names
+        if knowledge is not None:
+            wide = [b.matrix.copy() for b in knowledge.covariance]
+            for block, matrix in zip(knowledge.covariance, wide, strict=True):
+                here = [k for k, n in enumerate(block.names) if n in names]
+                at = [names.index(block.names[k]) for k in here]
+                matrix[np.ix_(here, here)] += (C * np.outer(scale, scale))[np.ix_(at, at)]
+            blocks = zip(knowledge.covariance, wide, strict=True)
+            knowledge = replace(knowledge, covariance=tuple(replace(b, matrix=m) for b, m in blocks))
         return replace(
-            robot,
-            knowledge=_widened_knowledge(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
-            remaining=_widened_remaining(self.given.remaining, self.model.names, C, scale),
+            self.given.with_values(values),
+            notes=(*self.given.notes, note),
+            knowledge=knowledge,
+            remaining=_widened_remaining(self.given.remaining, names, C, scale),
         )
 
     @property
@@ -351,26 +360,6 @@ class Touches(Result):
         )
         sections = (Section("Today", self.blocks()), Section("Control chart", [chart, table]))
         return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
-
-
-def _widened_knowledge(knowledge: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
-    """Return a robot's knowledge with the covariance of a correction added to its own.
-
-    It is added within each block of parameters; None stays None.
-
-    names : corrected parameters, p of them
-    C : covariance of the correction, shape (p, p) [SI]
-    """
-    if knowledge is None:
-        return None
-    blocks = []
-    for block in knowledge.covariance:
-        own = [n for n in block.names if n in names]
-        at, here = [names.index(n) for n in own], [block.names.index(n) for n in own]
-        matrix = block.matrix.copy()
-        matrix[np.ix_(here, here)] += C[np.ix_(at, at)]
-        blocks.append(Covariance(block.names, matrix))
-    return replace(knowledge, covariance=tuple(blocks))
 
 
 def _widened_remaining(
