@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.files import json_text
-from casadical.core.reporting.blocks import Table, Words, mm
+from casadical.core.reporting.blocks import Table, Words, cut, mm
 from casadical.core.reporting.plain import plain
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.details import Details
@@ -95,7 +95,7 @@ def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Wor
         Words(sentences[0].sentence, "verdict"),
         _errors(d, more),
         *_causes(d),
-        *(Words(_short(s.sentence), "warning" if s.doubtful else "note") for s in things_to_know(d, sentences)),
+        *(Words(cut(s.sentence, 290), "warning" if s.doubtful else "note") for s in things_to_know(d, sentences)),
     ]
 
 
@@ -138,14 +138,6 @@ def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
         of_each.pop("WHERE", None)
     first = sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:3]
     return [*first, *[s for s in every if s.about == "NOISE" and s not in first][:1]]
-
-
-def _short(text: str) -> str:
-    """Return a text, if longer than 290 characters cut (preferably after a clause) + " ..."."""
-    if len(text) <= 290:
-        return text
-    whole, part, _ = text[:290].rpartition("; ")
-    return f"{whole if part else text[:290].rpartition(' ')[0]} ..."
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:

@@ -74,12 +74,23 @@ def compare_files(
         files = [begun, *later]
     if robot and all(path.is_dir() or path.suffix in (".toml", ".urdf") for path in files):
         raise InputError("--robot is that by which tables are understood, and none is given; leave it out")
-    arm = robot or _understood_by(files)
+    # Tables are read with the robot and columns of the first campaign that is none.
+    robots = (f for f in files if f.suffix in (".toml", ".urdf") or f.is_dir())
+    own = next(robots, None)
+    arm = robot or (result_in(own) if own and own.is_dir() and not (own / "problem.toml").exists() else own)
     estimates = estimates_of(files, arm, show)
     usable = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
-        raise _with_hint_for_few_poses(*errors[0], arm)
+        path, error = errors[0]
+        if arm is not None and Path(arm).suffix == ".toml" and "numbers were measured" in str(error):
+            with suppress(CasadicalError):
+                found = plain_text(verify(arm, [path]).blocks()[:1]).strip()
+                error = InputError(
+                    f"{shown(path)}: too few poses to tell what changed; they tell how accurate the robot "
+                    f"is (casadical verify {shown(arm)} {shown(path)}): {found}"
+                )
+        raise error
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(usable) < 2:
         where = (
@@ -94,39 +105,8 @@ def compare_files(
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
     path_of = {e.label: path for path, e in zip(files, estimates, strict=True) if isinstance(e, Estimate)}
     last = path_of[ordered[-1].label]
-    own = (Path(arm), last) if arm and last.is_file() and last.suffix != ".toml" else ()
-    return replace(compared, name=name_of(files, begun or robot), sources=own)
-
-
-def _with_hint_for_few_poses(path: Path, error: CasadicalError, robot: str | Path | None) -> CasadicalError:
-    """Return a table's error, with the robot's accuracy if poses are too few for a comparison.
-
-    robot : problem folder or robot file by which the table is understood
-    """
-    if robot is None or Path(robot).suffix != ".toml" or "numbers were measured" not in str(error):
-        return error
-    with suppress(CasadicalError):
-        found = verify(robot, [path])
-        return InputError(
-            f"{shown(path)}: too few poses to tell what changed; they tell how accurate the robot is "
-            f"(casadical verify {shown(robot)} {shown(path)}): {plain_text(found.blocks()[:1]).strip()}"
-        )
-    return error
-
-
-def _understood_by(files: Sequence[Path]) -> Path | None:
-    """Return the first campaign that is no table: its robot file or problem folder; else None.
-
-    Tables of the other campaigns are read with its robot and columns.
-
-    files : paths of the campaigns
-    """
-    for path in files:
-        if path.suffix in (".toml", ".urdf") or (path / "problem.toml").exists():
-            return path
-        if path.is_dir():
-            return result_in(path)
-    return None
+    sources = (Path(arm), last) if arm and last.is_file() and last.suffix != ".toml" else ()
+    return replace(compared, name=name_of(files, begun or robot), sources=sources)
 
 
 def later_tables(folder: Path) -> tuple[list[Path], float | None]:

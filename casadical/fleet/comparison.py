@@ -274,7 +274,11 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
     times, dated : as of `evidence_of`; there is a season only with dates
     """
     n = len(times)
-    onset, since = _onsets(n), np.arange(1, n)
+    since = np.arange(1, n)
+    # Prior probability of each onset. It does not depend on n, so that all sum to less than one: half
+    # of it is 1 / (k (k + 1)) at campaign k from 1; half is geometric, a change begins with a
+    # probability of 0.03 where it did not begin before.
+    onset = 0.5 / (since * (since + 1)) + 0.5 * 0.03 * (1 - 0.03) ** (since - 1)
     kinds: list[Course] = ["jump"]
     if kind in evidence.GRADUAL_KINDS:
         kinds.append("drift")
@@ -291,19 +295,6 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
             yield course, share * onset[:-1], since[:-1], np.eye(n)[1:-1, :, None]
         else:
             yield course, share * onset, since, evidence.jumps(n) if course == "jump" else evidence.drifts(times)
-
-
-def _onsets(n: int) -> Array:
-    """Return the prior probability of an onset at each of n campaigns but the first, (n - 1,).
-
-    It does not depend on n, so that all sum to less than one: half of it is 1 / (k (k + 1)) at
-    campaign k from 1, half is geometric.
-    """
-    k = np.arange(1, n)
-    # Probability that a change begins at a campaign, given that it did not begin before, in the
-    # geometric half of the prior of `_onsets`.
-    onset_hazard = 0.03
-    return np.asarray(0.5 / (k * (k + 1)) + 0.5 * onset_hazard * (1 - onset_hazard) ** (k - 1))
 
 
 def _change(
@@ -347,10 +338,19 @@ def _change(
     values, errors = Fit(given, columns, 1.0, given.grid.at(0)).causes
     places = np.searchsorted(columns, change.group)
     values, errors = (x[places] * np.resize(change.candidate.sizes, len(places)) for x in (values, errors))
+    if change.candidate.kind == "lengths":
+        waves = ["lengths"] if len(values) == 1 else ["lengths, sine", "lengths, cosine"]
+        amounts = [Amount(*own, "um/m") for own in zip(waves, 1e6 * values, 1e6 * errors, strict=True)]
+    else:  # those of the first factor of the course
+        amounts = []
+        for name, *own in zip(change.candidate.names, values, errors, strict=False):
+            p = first.robot.parameters[name]
+            value, error = (p.readable(float(x) * p.scale) for x in own)
+            amounts.append(Amount(name, value, error, p.readable_unit))
     # Size in each campaign along the change's own direction, relative to the whole change.
     direction = change.candidate.columns @ values[: len(change.candidate.sizes)]
-    n, p, _ = model.J.shape
-    alone = np.zeros((n, p, n - 1))
+    n = len(model.J)
+    alone = np.zeros((n, model.J.shape[1], n - 1))
     alone[np.arange(1, n), :, np.arange(n - 1)] = (model.J @ direction)[1:]
     given, columns = _given(model, [a for i, a in enumerate(accepted) if i != k])
     given = given.with_base(columns)
@@ -365,26 +365,9 @@ def _change(
         float(share[same].sum()) / probability,
         change.odds,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
-        tuple(_amounts(change.candidate, first, values, errors)),
+        tuple(amounts),
         np.vstack([[0.0, 0.0], np.column_stack(by_campaign)]),
     )
-
-
-def _amounts(candidate: Candidate, first: Estimate, values: Array, errors: Array) -> Iterable[Amount]:
-    """Yield the change of each parameter in readable units, or that of all lengths [um/m].
-
-    first : estimate of the first campaign
-    values, errors : amplitudes and their standard errors, (k m,), of the m columns for each of k
-        factors of the course: two for a season, else one
-    """
-    if candidate.kind == "lengths":
-        for w, (value, error) in enumerate(zip(values, errors, strict=True)):
-            name = "lengths" if len(values) == 1 else f"lengths, {('sine', 'cosine')[w]}"
-            yield Amount(name, 1e6 * value, 1e6 * float(error), "um/m")
-        return
-    for name, value, error in zip(candidate.names[: len(candidate.sizes)], values, errors, strict=False):
-        p = first.robot.parameters[name]
-        yield Amount(name, p.readable(value * p.scale), p.readable(float(error) * p.scale), p.readable_unit)
 
 
 def _detectable_sizes(

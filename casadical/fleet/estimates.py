@@ -12,7 +12,7 @@ repeatability and the size of the harmonics are therefore estimated from all cam
 together, and so is the noise of a coordinate from all campaigns of one instrument.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -141,10 +141,18 @@ def estimate(
     fit = wide_fit(identified)
     unit = fit.best.s2 * fit.misfit
     noted: list[str] = []
+    if out := identified.left_out:
+        noted.append(f"{len(out)} pose{'s' * (len(out) > 1)} left out as outliers")
+        rows = sorted(o.row for o in out)
+        used, *more = identified.used
+        between = used.row[(used.row > rows[0]) & (used.row < rows[-1])]
+        # Five or more consecutive outliers show a change of the set-up, not single mistakes.
+        if len(rows) >= 5 and not more and not len(between):
+            noted[0] += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"
     for m in identified.measurements:
         if m.lost:
-            rows = ", ".join(map(str, m.lost))
-            noted.append(f"{m.source}: row{'s' * (len(m.lost) > 1)} {rows} not used, a reading or a position is empty")
+            lost = ", ".join(map(str, m.lost))
+            noted.append(f"{m.source}: row{'s' * (len(m.lost) > 1)} {lost} not used, a reading or a position is empty")
         noted += [*([m.copies_in_words] if m.copies else []), *clock_faults(m)]
     # A campaign of more than 1000 poses determines its own noise, so its fit is not stored
     # for pooling.
@@ -160,26 +168,11 @@ def estimate(
         len(fit.poses),
         fit.coordinate_sigma,
         fit.misfit,
-        (*_outliers(identified), *noted),
+        tuple(noted),
         np.quantile(np.concatenate([m.q for m in identified.used]), [0.05, 0.95], axis=0).T,
         fit if len(fit.poses) <= 1000 else None,
         fit.freedom,
     )
-
-
-def _outliers(found: Identification) -> Iterator[str]:
-    """Yield one sentence on the poses that an identification excluded as outliers, if any."""
-    out = found.left_out
-    if not out:
-        return
-    said = f"{len(out)} pose{'s' * (len(out) > 1)} left out as outliers"
-    rows = sorted(o.row for o in out)
-    (used, *more) = found.used
-    between = used.row[(used.row > rows[0]) & (used.row < rows[-1])]
-    # Five or more consecutive outliers show a change of the set-up, not single mistakes.
-    if len(rows) >= 5 and not more and not len(between):
-        said += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"
-    yield said
 
 
 def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, next_step
+from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, cut, figures_named, next_step
 from casadical.core.reporting.figure import Axis, Figure, Note, Series
 from casadical.core.reporting.plain import WRITTEN, Key, plain
 from casadical.core.reporting.result import Result
@@ -23,8 +23,6 @@ from casadical.robot.robot_file import to_toml
 
 # Largest number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
-# Largest number of letters of an error message or a robot's notes on the terminal.
-MAX_ERROR_LETTERS = 240
 # Largest number of robots in the table of all robots on the page.
 MAX_ROWS_ON_PAGE = 2000
 
@@ -100,7 +98,7 @@ class Fleet(Result):
     def blocks(self) -> list[Block]:
         """Return the report as blocks of text and tables."""
         bad = self.robots[self.robots["status"] != "ok"]
-        failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(MAX_ROWS_SHOWN))]
+        failed = [(r["robot"], r["status"], cut(r["error"])) for r in records(bad.head(MAX_ROWS_SHOWN))]
         title = f"Not calibrated ({len(bad)})"
         others = [Table(title, ("robot", "status", "why"), failed)] if failed else []
         return self._report_blocks(findings=[*self._faults(), *self._types(), *self._to_look_at(), *others])
@@ -150,7 +148,7 @@ class Fleet(Result):
         for r in records(self.robots.head(MAX_ROWS_ON_PAGE)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
             # An error message is cut to 60 letters.
-            figures = (short(r["error"], 60), *errors, str(r["poses"]), str(r["campaigns"]))
+            figures = (cut(r["error"], 60), *errors, str(r["poses"]), str(r["campaigns"]))
             rows.append((r["robot"], r["type_name"], r["status"], *figures, _found_in(r), r["changes"]))
         head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
         title = (
@@ -264,7 +262,7 @@ class Fleet(Result):
             r["robot"]: [note for note in r["notes"].split("; ") if note and not note.endswith("left out as outliers")]
             for r in records(others)
         }
-        noted = [(name, short("; ".join(notes))) for name, notes in odd.items() if notes]
+        noted = [(name, cut("; ".join(notes))) for name, notes in odd.items() if notes]
         if noted:
             yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:MAX_ROWS_SHOWN])
 
@@ -284,15 +282,6 @@ def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
 def _found_in(row: Mapping[str, Any]) -> str:
     """Return verdict and causes of a robot's diagnosis as text; empty without a diagnosis."""
     return " ".join(filter(None, (row["verdict"], row["causes"])))
-
-
-def short(error: str, letters: int = MAX_ERROR_LETTERS) -> str:
-    """Return the last line of an error message, cut between words if it has more than `letters`.
-
-    A cut line ends with " ...".
-    """
-    line = (error.strip().splitlines() or [""])[-1]
-    return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
 
 
 def grown(sigmas: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:

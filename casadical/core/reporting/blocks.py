@@ -113,6 +113,18 @@ def figures_named(figures: Mapping[str, Figure], start: str) -> list[Figure]:
     return [figure for name, figure in figures.items() if name == start or name.startswith(f"{start}/")]
 
 
+def cut(text: str, letters: int = 240) -> str:
+    """Return the last line of a text, cut and with " ..." appended if it has more letters.
+
+    It is cut after a clause, if there are several, else after a word.
+    """
+    line = (text.strip().splitlines() or [""])[-1]
+    if len(line) <= letters:
+        return line
+    whole, part, _ = line[:letters].rpartition("; ")
+    return f"{whole if part else line[:letters].rpartition(' ')[0]} ..."
+
+
 def mm(metres: float) -> str:
     """Return a length [m] as the text of a number of mm, with four to one decimal places."""
     value = 1e3 * metres
