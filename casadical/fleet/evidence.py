@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import Factors, factor_columns
+from casadical.core.linear_gaussian.columns import Factors, MemoryLimits, factor_columns
 from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.noise import Grid, NoiseModel, gain
 from casadical.core.parameters import Parameter
@@ -228,7 +228,9 @@ def model_of_campaigns(
     E = factor_columns(Factors(tuple(part for part in parts if len(part[1])), width), R)
     noise = NoiseModel((n, p), {"daily": R @ daily(candidates)})
     grid = Grid(np.ones(1), {"daily": np.ones(1)}, KAPPAS)
-    return LinearModel(r, R, np.zeros(p), spread, E, noise, grid, reference=1.0), groups
+    # Many campaigns have tens of thousands of columns, so that few blocks are added up at a time.
+    memory = MemoryLimits(column_bytes=16_000_000, min_blocks=1)
+    return LinearModel(r, R, np.zeros(p), spread, E, noise, grid, reference=1.0, memory=memory), groups
 
 
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
