@@ -121,7 +121,7 @@ def diagnose(
         # How large the gap is and what makes it comes before what a usual arm would have; tables end.
         printed: list[Block] = []
         lines_found = 22 if not replay else 1 if found.named else 3
-        for result, n_lines in ((replay, 20), (found, lines_found)):
+        for result, n_lines in ((replay, 20 + 2 * len(against or [])), (found, lines_found)):
             if result:
                 blocks = result.blocks()
                 printed += blocks if details else shortened(blocks, n_lines)

@@ -124,7 +124,7 @@ def test_the_command_judges_published_parameters(tmp_path):
     asked = ["diagnose", *map(str, (tmp_path / "arm.toml", tmp_path / "log.csv", "--against", wrong))]
     told = CliRunner().invoke(app, [*asked, "--json", str(tmp_path / "found.json")])
     assert told.exit_code == 0, told.output
-    assert "contradict" in told.output
+    assert told.output.index("contradict") < told.output.index("(in sum)")
     (found,) = json.loads((tmp_path / "found.json").read_text())["replay"]["against"]
     verdicts = {(row["joint"], row["parameter"]): row["verdict"] for row in found["parameters"]}
     assert verdicts["a", "F/kp [mrad]"] == "contradicted"
