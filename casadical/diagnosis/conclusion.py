@@ -70,16 +70,19 @@ def conclude(
     account = account.unless_small(float(before.mean() / after.mean())) if state.steps else account
     error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
     causes = [_cause(state, step, before, seed) for step in state.steps]
-    # Where a joint also scatters, its cause and something else that drives it are equally probable.
-    scatters = [account.doubt and noisy_joint_label(c.joint or 0) == state.rankings[-1].noise_form for c in causes]
-    causes = [replace(c, confidence=c.confidence * (0.5 if s else 1.0)) for c, s in zip(causes, scatters, strict=True)]
+    # Where more is wrong at its joint, a cause and something else there are equally probable.
+    rest = _joints_of_rest(state, account)
+    causes = [replace(c, confidence=c.confidence / (1 + (c.joint in rest))) for c in causes]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
     # Noise causes no more than the whole remaining error, though its size is estimated on a grid.
     gap = Gap(float(before_all.mean()), float(after.mean()), min(floor, float(after.mean())), float(before.mean()))
     causes += outliers
     causes = [causes[k] for k in ranked([c.shrink for c in causes])]
-    shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
+    names = ["base", *(f"+ {step.labels[0]}" for step in state.steps)]
+    noises = [*(r.noise[""] for r in state.rankings[: len(state.steps)]), noise]
+    stages = [(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
+    shrinks = course(case, stages, partitions(case.evidence, seed), noise, seed)
     rest = max(0.0, (gap.after - gap.floor) / gap.before)
     verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
     exactly = with_additional_cause(cause_set(state), state, seed)
@@ -135,11 +138,17 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
     return further if error < floor else None
 
 
-def _stages(state: State, noise: Noise) -> list[tuple[str, Array, Noise]]:
-    """Return (name, indices of columns, noise) of the base model and after each added cause."""
-    names = ["base", *(f"+ {step.labels[0]}" for step in state.steps)]
-    noises = [*(r.noise[""] for r in state.rankings[: len(state.steps)]), noise]
-    return [(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
+def _joints_of_rest(state: State, account: NoiseAccount) -> set[int | None]:
+    """Return the joints (1-based) where an unlisted effect remains or has its driver, or that scatter.
+
+    account : of the noise; scatter remains only where it is in doubt
+    """
+    last, numbers = state.rankings[-1], state.case.robot.numbers
+    best, flaw = state.by_label.get(last.order[0]), _remainder(state) <= SETTINGS.max_flaw
+    if best and not flaw and last.none <= SETTINGS.max_p_nothing_further:
+        effect = best.variants[0][0]
+        return set() if best.listed else {effect.joint, getattr(effect, "driver", None)} - {None}
+    return {j for j in numbers if account.doubt and noisy_joint_label(j) == last.noise_form}
 
 
 def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:

@@ -182,22 +182,9 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, l
     # noise.
     stated = [m.datasheet for m in case.observations.sets if m.datasheet]
     sheet = min(stated) if noise_prior.sheet else 0.0
-    scatter = repeated.sigma if repeated.freedom else 0.0
-    found = NoiseAccount(
-        taken,
-        noise.sigma,
-        noise.repeatability,
-        noise_prior.declared,
-        sheet,
-        scatter,
-        repeated.freedom,
-        rules,
-        excess,
-        form,
-        remainder.structures,
-        remainder.like_noise,
-        "",
-    )
+    sizes = (taken, noise.sigma, noise.repeatability, noise_prior.declared, sheet, repeated.sigma)
+    structures, like = remainder.structures, remainder.like_noise
+    found = NoiseAccount(*sizes, repeated.freedom, rules, excess, form, structures, like)
     # The residuals of a fit with more columns than poses (error curves) are unequal in any case.
     judged = replace(found, like_noise=found.like_noise or len(columns) > len(e.r))
     lever = e.noise_prior.lever

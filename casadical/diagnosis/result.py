@@ -79,7 +79,7 @@ class Cause:
     """One cause.
 
     effect : name of the effect; joint : its joint, 1-based; None if it belongs to none
-    confidence : its posterior probability, halved where its joint also repeats poorly
+    confidence : its posterior probability, halved where more is wrong at its joint
     shrink : fraction, up to 1, by which the held-out gap falls with this cause alone in the model
     shrink_interval : 95 % interval of `shrink`
     indistinguishable : labels (name or name@joint) that the data do not distinguish from its own
@@ -312,7 +312,8 @@ class Diagnosis(Result):
         if len(names := [k for k in further if k in labels]) > 1:
             return tuple(names[k] for k in ranked([further[k] for k in names]))
         last = self.rankings[-1].probability
-        order = [k for k in self.rankings[-1].order if k in labels]
+        there = self.verdict == "ambiguous" or self.rankings[-1].none <= SETTINGS.max_p_nothing
+        order = [k for k in self.rankings[-1].order if k in labels and there]
         # Two labels are not in question if one has more than 0.99 of their common probability.
         certain = len(order) > 1 and last[order[0]] > 0.99 * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()

@@ -28,6 +28,7 @@ from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.settings import SETTINGS
+from casadical.effects import JointZeroStep
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
@@ -298,7 +299,7 @@ class _WhitenedResidual:
             for c in self.case.candidates
             for variant in c.variants
             for event in variant
-            if getattr(event, "event", 0) == 1
+            if getattr(event, "event", 0) == 1 or isinstance(event, JointZeroStep)
         }
         time, n = self.case.progress[self.at], len(self.squares)
         if n < 4 or not (kinds and self._has_residual):

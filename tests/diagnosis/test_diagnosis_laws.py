@@ -333,8 +333,8 @@ def test_a_form_outside_the_grammar_is_described_by_its_driver() -> None:
     assert found.gap["described"] < 0.9 * found.gap["base"]
     kept = found.to_json()
     assert (kept["verdict"], kept["described"]["driver"]) == ("described", "angle of joint 4")
-    assert kept["described"]["rms"]["value"] == pytest.approx(two_bumps(m.q[:, 3]).std(), rel=0.3)
-    assert kept["described"]["rms"]["unit"] == "rad"
+    (low, high), unit = kept["described"]["rms"]["interval"], kept["described"]["rms"]["unit"]
+    assert (0 < low < two_bumps(m.q[:, 3]).std() < high < 2.5 * low, unit) == (True, "rad")
     assert len(found.apply().effects) == len(found.diagnosis.identification.robot.effects) + 1
 
 

@@ -175,13 +175,7 @@ def test_noise_is_in_doubt_unless_poses_or_a_declaration_confirm_it(
 
 @pytest.mark.parametrize(
     ("hidden", "times", "doubted"),
-    [
-        (2e-5, 2.2, True),  # what is explained is 1.96 of the noise
-        (2e-5, 2.3, False),
-        (1e-5, 1.4, True),
-        (1e-5, 1.5, False),
-        (2e-5, 0.9, True),  # nothing is explained
-    ],
+    [(2e-5, 2.2, True), (2e-5, 2.3, False), (1e-5, 1.4, True), (1e-5, 1.5, False), (2e-5, 0.9, True)],
 )
 def test_a_doubt_of_less_than_half_of_what_is_explained_is_none(hidden: float, times: float, doubted: bool) -> None:
     account = replace(PLAIN, doubt="the noise is larger than declared", only_size_doubted=True, hidden=hidden)
@@ -216,11 +210,9 @@ def test_a_joint_that_creeps_is_no_step_and_its_time_is_named() -> None:
 @pytest.mark.slow
 def test_a_target_that_slips_again_and_again_is_no_single_shift() -> None:
     m = simulated("kr210", 7)
-    assert m.position is not None
     slips = 1e-5 * np.cumsum(np.random.default_rng(3).random(len(m)) < 0.2)
-    d = diagnose(
-        robot("kr210"), replace(m, position=m.position + predicted(robot("kr210"), m)[1][:, :, 0] * slips[:, None])
-    )
+    moved = predicted(robot("kr210"), m)[1][:, :, 0] * slips[:, None]
+    d = diagnose(robot("kr210"), replace(m, position=m.position + moved))
     assert not {"target_shift", "frame_drift"} & {c.label for c in d.causes}
     assert d.verdict == "unknown"
     assert d.rankings[0].order[0] == "any course in time of the tool"

@@ -90,8 +90,7 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
     assert (d.verdict, [c.label for c in d.causes]) == (verdict, ["gear_eccentricity@4"])
     assert d.cause_set is not None
     (labels, p), *_ = d.cause_set.others
-    assert labels == ("gear_eccentricity@4", "law")
-    assert p / d.cause_set.probability == pytest.approx(odds)
+    assert (labels, p / d.cause_set.probability) == (("gear_eccentricity@4", "law"), pytest.approx(odds))
     assert as_json(d, "campaign")["set"]["others"][0] == {"causes": list(labels), "probability": round(p, 4)}
     words = " ".join(page_of(d).split())
     assert ("instead: gear_eccentricity@4 + law" in words) == (verdict == "ambiguous")
@@ -102,9 +101,7 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
     (0.0, "", "explained", 1.0), (0.5, noisy_joint_label(4), "unknown", 0.5), (0.5, HEAVY_TAILS, "unknown", 1.0),
     (0.04, HEAVY_TAILS, "explained", 1.0),
 ])  # fmt: skip
-def test_nothing_is_explained_where_the_noise_takes_a_form(
-    gain: float, form: str, verdict: str, confidence: float
-) -> None:
+def test_nothing_is_explained_where_noise_has_a_form(gain: float, form: str, verdict: str, confidence: float) -> None:
     """The form has a share of the evidence of the cause; up to 0.05 it is a flaw of its equation."""
     plain = eccentric()
     state, end, _ = search.search(plain.case, 0, 0, silent)
@@ -114,8 +111,17 @@ def test_nothing_is_explained_where_the_noise_takes_a_form(
     assert d.causes[0].confidence == pytest.approx(confidence, rel=0.02)
     untried = SETTINGS.untried_in_doubt if verdict == "unknown" else SETTINGS.untried
     assert d.cause_set is not None
-    assert d.cause_set.untried == untried
-    assert d.cause_set.probability <= 1 - untried
+    assert d.cause_set.untried == untried <= 1 - d.cause_set.probability
+
+
+@pytest.mark.parametrize(("joint", "confidence"), [(4, 0.5), (3, 1.0)])
+def test_more_at_the_joint_of_a_cause_halves_its_probability(joint: int, confidence: float) -> None:
+    plain, label = eccentric(), f"any function of q{joint} and load in joint {joint}"
+    state, _, _ = search.search(plain.case, 0, 0, silent)
+    more = {"none": 0.01, "probability": {label: 0.99}, "log_factor": {label: 0.5 * state.log_gain}}
+    last = replace(state.rankings[-1], **more)
+    d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last)), "unknown", 0)
+    assert (d.verdict, d.causes[0].confidence) == ("unknown", pytest.approx(confidence, rel=0.02))
 
 
 def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings_search import neighbours, refined
+from casadical.diagnosis.structure import shown_by
 from casadical.effects import Backlash, Effect, FrictionWindup, GravityCompensator, TransmissionRipple
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Noise
@@ -62,6 +63,7 @@ def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> Non
     progress = np.unique(start.m.conditions["progress"])
     after = progress > step.at
     assert step.at == pytest.approx((progress[~after][-1] + progress[after][0]) / 2)
+    assert next(iter(shown_by(start, NOTHING, ranking.noise[""], start.form)[1])).at == pytest.approx(step.at, abs=0.02)
     for at in (progress[~after][-1], progress[after][0] - 1e-6):  # wherever it lies between the two, it fits alike
         same = found.with_variants("joint_zero_step@3", [(replace(step, at=float(at)),)])
         assert evidence(same, (replace(step, at=float(at)),)) == pytest.approx(evidence(found, (step,)), abs=1e-9)

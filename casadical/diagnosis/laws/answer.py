@@ -139,10 +139,11 @@ class Discovery(Result):
         order = np.corrcoef(np.argsort(np.argsort(along)), np.argsort(np.argsort(f.x)))[0, 1]
         of_one = f.form.name != SMOOTH_FORM or bool(f.form.settings)
         unit, factor = REPORT_UNITS[about["rms"]["unit"]]
+        low, high = (factor * bound for bound in about["rms"]["interval"])
         return (
             f"the error of {s.law.place} {'grows with' if of_one and abs(order) > 0.9 else 'depends on'} the "
-            f"{s.variable.words}, {factor * about['rms']['value']:.3g} {unit} rms (probability of this driver "
-            f"{about['probability']:.2f})"
+            f"{s.variable.words}, {factor * about['rms']['value']:.3g} {unit} rms "
+            f"(95 %: {low:.3g} to {high:.3g}; probability of this driver {about['probability']:.2f})"
         )
 
     @property
@@ -160,14 +161,15 @@ class Discovery(Result):
         if s is None:
             return None
         drivers = {v.words: round(p, 4) for v, p in self.rounds[-1].drivers.items()}
+        rms = float(np.sqrt((self._described**2).sum(axis=1).mean()))
+        # A factor on the whole function: its likelihood at zero is lower by the evidence.
+        half = 1.96 / np.sqrt(2 * max(s.evidence, 0.5))
+        interval = [rms * max(1 - half, 0.0), rms * (1 + half)]
         return {
             "place": s.law.place,
             "driver": s.variable.words,
             "probability": drivers.pop(s.variable.words),
-            "rms": {
-                "value": float(np.sqrt((self._described**2).sum(axis=1).mean())),
-                "unit": SEAMS[s.law.seam].unit,
-            },
+            "rms": {"value": rms, "interval": interval, "unit": SEAMS[s.law.seam].unit},
             "other_drivers": dict([*drivers.items()][:3]),
         }
 
