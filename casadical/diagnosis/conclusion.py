@@ -71,8 +71,8 @@ def conclude(
     error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     # Where more is wrong at its joint, a cause and something else there are equally probable.
-    rest = _joints_of_rest(state, account)
-    causes = [replace(c, confidence=c.confidence / (1 + (c.joint in rest))) for c in causes]
+    joints = _joints_of_rest(state, account)
+    causes = [replace(c, confidence=c.confidence / (1 + (c.joint in joints))) for c in causes]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
     # Noise causes no more than the whole remaining error, though its size is estimated on a grid.
