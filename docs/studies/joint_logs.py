@@ -1,8 +1,9 @@
 """Joint logs with hidden causes, made in MuJoCo, and what `casadical diagnose ARM LOG` says of them.
 
 python docs/studies/joint_logs.py make DIR (4 minutes), run DIR (10 of CPU), score DIR. Synthetic data. Further
-arguments are another seed and number of logs: 20261124 to 20261126 and 72, 20261127 and 96 are rounds on which rules
-were developed.
+arguments are another seed and number of logs, and "healthy" for logs without a cause, whose evidence `score` lists by
+cause (by it thresholds of the diagnosis are set): 20261124 to 20261126 and 72, 20261127 and 96 are rounds on which
+rules were developed.
 
 Written without having read the diagnosis. Two arms: the six axes of problems/ur10e, with currents, and the SO-101 of
 data/so101_logs, half with torques, half with commands and readings only. Causes act in the simulation (forces, servo),
@@ -31,6 +32,7 @@ from casadical.project.diagnosis import read_logs
 ROOT = Path(__file__).parents[2]
 SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261201
 LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 240
+HEALTHY = sys.argv[5:] == ["healthy"]
 STEP, ROW = 0.001, 8
 LISTED = [
     "payload",
@@ -593,7 +595,7 @@ def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
 def drawn() -> list[dict]:
     """All logs: arm, cause, joint, level, with a reference or not."""
     rng = np.random.default_rng(SEED)
-    clean, other = LOGS // 3, LOGS // 8
+    clean, other = (LOGS, 0) if HEALTHY else (LOGS // 3, LOGS // 8)
     named = LOGS - clean - other
     kinds = [""] * clean + [str(x) for _ in range(1 + LOGS // 32) for x in rng.permutation(UNLISTED)][:other]
     kinds += [str(x) for _ in range(1 + LOGS // 24) for x in rng.permutation(LISTED)][:named]
@@ -669,6 +671,19 @@ def make(folder: Path, arm: str) -> None:
                 "visible": visible(day, log, logs[slot["second"]], entry["reference"]),
             }
     (folder / f"key-{arm}.json").write_text(json.dumps(key, indent=1))
+
+
+def healthy(folder: Path) -> None:
+    """The five greatest log evidences of each cause in logs without one, with a reference | without."""
+    found: dict[str, tuple[list[float], list[float]]] = {}
+    for entry in key_of(folder):
+        answer = json.loads((folder / f"{entry['id']}.answer.json").read_text())
+        for cause in answer["ranking"]:
+            lists = found.setdefault(cause["effect"], ([], []))
+            lists[not entry["reference"]].append(cause.get("log_evidence", np.inf))
+    for name, lists in sorted(found.items(), key=lambda x: -max(*x[1][0], *x[1][1], -np.inf)):
+        greatest = (" ".join(f"{e:4.0f}" for e in sorted(x)[:-6:-1]) for x in lists)
+        print(f"{name:52s}" + " | ".join(greatest))
 
 
 def baseline(folder: Path) -> None:
@@ -938,7 +953,9 @@ def main() -> None:
     if task in ("make", "score"):
         digest = hashlib.sha256(json.dumps(key_of(folder), sort_keys=True).encode()).hexdigest()
         print(f"{LOGS} logs (synthetic), seed {SEED}; sha256 of the key {digest}")
-    if task == "score":
+    if task == "score" and HEALTHY:
+        healthy(folder)
+    elif task == "score":
         score(folder)
         baseline(folder)
 

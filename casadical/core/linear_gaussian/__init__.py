@@ -9,10 +9,10 @@ one window), n blocks of m rows; the noise of different blocks is independent. T
 with a few base parameters delta ~ N(delta0, diag(prior^2)) and very many columns E, of which groups
 are judged as causes. Blocks with fewer rows than m are padded with rows of zeros.
 
-- `noise`: the noise components, their covariance and whitening; AR(1) noise
+- `noise`: the noise components, their covariance and whitening; AR(1) noise; the grid of sigma, rho
+  and the effect size kappa
 - `columns`: the columns E, computed some blocks at a time, and their combinations
 - `normal_equations`: normal sums of whitened rows; parameters that are added to a model
-- `grid`: the grid of sigma, rho and the effect size kappa; log-likelihood gains over it
 - `model`: `LinearModel`, the user's input
 - `sums`: Gram matrices of the whitened columns, accumulated over the blocks for every rho
 - `marginals`: marginal log likelihoods of groups of columns over the grid
