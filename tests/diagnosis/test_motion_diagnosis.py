@@ -534,13 +534,23 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
     assert "toy_tooth" not in motion_effects()
 
 
-@pytest.mark.parametrize(("gain", "rival", "fits"), [(70.0, 69.0, True), (70.0, 71.0, False), (39.0, 0.0, False)])
-def test_a_cause_fits_with_evidence_that_no_smooth_function_exceeds(gain, rival, fits):
-    assert Found("spring@2", 0, True, 1.0, ("spring@2",), gain, rival).fits is fits
+@pytest.mark.parametrize(
+    ("name", "gain", "rival", "fits"),
+    [
+        ("spring", 73.0, 72.0, True),
+        ("spring", 73.0, 74.0, False),
+        ("spring", 71.0, 0.0, False),
+        ("torque_constant", 21.0, 0.0, True),
+        ("torque_constant", 19.0, 0.0, False),
+        ("play", 500.0, 0.0, False),
+    ],
+)
+def test_a_cause_fits_with_more_evidence_than_healthy_logs_and_smooth_functions_have(name, gain, rival, fits):
+    assert Found(f"{name}@2", 0, True, 1.0, (f"{name}@2",), gain, rival).fits is fits
 
 
 def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
-    labels = (("lag@1", 400.0), ("saturation@1", 120.0), ("ripple@2", 50.0), ("spring@3", 70.0))
+    labels = (("lag@1", 400.0), ("saturation@1", 120.0), ("ripple@2", 50.0), ("spring@3", 80.0))
     outcome = SimpleNamespace(found=[Found(k, 0, True, 1.0, (k,), gain, 0.0) for k, gain in labels])
     for torque, named in ((1.0, ["lag@1", "spring@3"]), (None, [])):
         view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
