@@ -278,13 +278,10 @@ def carried_prior(prior: Path | None, parts: str | None, frozen: bool) -> "Carri
     frozen : whether the values are fixed
     Raises InputError: parts or frozen without a file, or a file that cannot be read.
     """
-    from casadical.identification.prior import carry_over
-    from casadical.project.problem import nothing_carried
-    from casadical.robot.robot_file import read_robot
+    from casadical.project.problem import carried_from, nothing_carried
 
     if prior is None:
         if parts is not None or frozen:
             raise InputError(f"--{'frozen' if frozen else 'prior-effects'}: needs the robot file that --prior names")
         return nothing_carried
-    other, names = read_robot(prior), [name.strip() for name in (parts or "effects").split(",")]
-    return lambda robot: carry_over(robot, other, names, frozen=frozen)
+    return carried_from(prior, [name.strip() for name in (parts or "effects").split(",")], frozen)

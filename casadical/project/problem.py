@@ -14,7 +14,7 @@ from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.reporting.result import Shown
 from casadical.identification.plausibility import refuse_undefined
-from casadical.identification.prior import Prior
+from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.arrangement import long
 from casadical.measurements.columns import Columns, columns_used
@@ -43,6 +43,7 @@ from casadical.project.recognition import understood
 from casadical.project.robot_columns import as_poses, refuse_nameless, with_coupled, with_target_positions
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
+from casadical.robot.robot_file import read_robot
 
 # Function that takes the results of another campaign over into a robot, and returns that robot and
 # the prior of the values (None without one).
@@ -52,6 +53,12 @@ Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
     """Return the robot unchanged and no prior: the default of `Carried`."""
     return robot, None
+
+
+def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
+    """Return a function that takes parts of a robot file over into a robot (see `carry_over`)."""
+    other = read_robot(path)
+    return lambda robot: carry_over(robot, other, parts, frozen=frozen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,7 +135,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     def followed(path: Path) -> None:
         is_log(path)
         found = rows_of(path, path.read_bytes())
-        if found.rows:
+        if found[0]:
             (path.parent / "other").mkdir(exist_ok=True)
             for name in ("problem.toml", "robot.toml"):
                 shutil.copy(place / "in/live" / name, path.parent / "other")

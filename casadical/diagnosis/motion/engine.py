@@ -32,7 +32,8 @@ NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
 MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
 MAX_CAUSES = 3  # largest number of causes that are searched for
 MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
-MIN_EVIDENCE = 20.0  # smallest log evidence [nats] with which a cause enters the model, and fits
+# Smallest log evidence [nats] with which a cause enters the model, with torques and of commands alone.
+MIN_EVIDENCE = {"torque": 20.0, "position": 30.0}
 # Causes that never count as fitting: on logs on which the rule was learnt they stood for errors of
 # the base.
 DOUBTFUL_CAUSES = frozenset(["play", "link_mass"])
@@ -296,7 +297,7 @@ class Found:
             self.listed
             and name not in DOUBTFUL_CAUSES
             and not self.usual
-            and self.gain >= max(MIN_EVIDENCE, self.rival)
+            and self.gain >= max(MIN_EVIDENCE["torque"], self.rival)
             and self.gain >= HEALTHY_MARGIN * HEALTHY_EVIDENCE.get(name, 0.0)
             and self.probability >= MIN_FIT_PROBABILITY
         )
@@ -346,13 +347,14 @@ def search(problem: LogProblem) -> Outcome:
     """
     found: tuple[Found, ...] = ()
     rankings: tuple[Ranking, ...] = ()
+    least = min(MIN_EVIDENCE[r.kind] for r in problem.rows)
     while True:
         skip = frozenset(f.label for f in found)
         current = Outcome(problem, found, rankings).with_causes
         ranking = current.rank(skip)
         rankings = (*rankings, ranking)
         best = next_cause(problem, ranking)
-        if ranking.none > MAX_NOTHING_PROBABILITY or best.gain < MIN_EVIDENCE or len(found) == MAX_CAUSES:
+        if ranking.none > MAX_NOTHING_PROBABILITY or best.gain < least or len(found) == MAX_CAUSES:
             return Outcome(problem, found, rankings)
         found = (*found, replace(best, usual=is_usual_ripple(problem, best)))
         if sum(not f.listed for f in found) > 1:

@@ -7,7 +7,7 @@ pytestmark = pytest.mark.slow
 WIDE, PHONE = 1280, 390
 CALIBRATION, DIAGNOSIS = ("calibration", WIDE), ("diagnosis", WIDE)
 PHONES = (("calibration", PHONE), ("diagnosis", PHONE))
-LEAST = {"calibration": 12, "diagnosis": 12, "logs": 5}
+LEAST = {"calibration": 12, "diagnosis": 12, "logs": 3}
 FIGURE = "figure[data-name='{}']"
 
 
