@@ -7,12 +7,11 @@ cause's position error changes the command.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, LogProblem, Rows
 from casadical.diagnosis.motion.response import simulated
@@ -233,39 +232,47 @@ def _fitted(replay: Replay, mean: Array, covariance: Array, sigma: Array) -> tup
         start = mean.copy()
         start[:, 2] += np.log(factor)
         starts.append(_descended(replay, start, mean, covariance, sigma, small))
-    best = [first_of_best(-own) for own in np.stack([cost for _, cost in starts], axis=1)]
+    costs = np.stack([_costs(problem, x, mean, covariance, small) for x, problem in starts])
+    best = np.array([first_of_best(-own) for own in costs.T])
     x = np.stack([starts[k][0][j] for j, k in enumerate(best)])
-    variance = _linearised(replay, x, mean, covariance, sigma).fit.variance
-    x, _ = _descended(replay, x, mean, covariance, sigma, variance)
-    return x, _linearised(replay, x, mean, covariance, sigma)
+    rows = tuple(starts[k][1].rows[j] for j, k in enumerate(best))
+    problem = replace(starts[0][1], rows=rows, mean=(mean - x).ravel())
+    return _descended(replay, x, mean, covariance, sigma, problem.fit.variance)
 
 
 def _descended(
     replay: Replay, x: Array, mean: Array, covariance: Array, sigma: Array, variance: Array
-) -> tuple[Array, Array]:
-    """Return the parameters of least cost and each joint's cost, by steps from x with a given noise."""
-    prior = np.linalg.inv(covariance)
-
-    def evaluate(x: Array) -> Evaluated:
-        """Return cost and normal equations of all joints at x."""
-        rows, aside = _linearised(replay, x, mean, covariance, sigma).rows, mean - x
-        sums = ((*r.grams, s2) for r, s2 in zip(rows, variance, strict=True))
-        grams = [(H / s2, b / s2, square / s2) for H, b, square, s2 in sums]
-        pull = (prior @ aside[..., None])[..., 0]
-        cost = np.array([square for *_, square in grams]) + (aside * pull).sum(axis=1)
-        return cost, lambda of: (
-            np.stack([H for H, *_ in grams])[of] + prior[of],
-            np.stack([b for _, b, _ in grams])[of] + pull[of],
-        )
-
-    def move(x: Array, step: Array) -> Array:
-        """Return the points behind some steps, delay and load friction within bounds."""
-        after = x + step
+) -> tuple[Array, LogProblem]:
+    """Return parameters and problem after Levenberg-Marquardt steps from x with a given noise."""
+    best, prior, damping = (
+        _linearised(replay, x, mean, covariance, sigma),
+        np.linalg.inv(covariance),
+        np.full(len(x), 0.1),
+    )
+    for _ in range(MAX_STEPS):
+        after = x.copy()
+        for j, (r, s2) in enumerate(zip(best.rows, variance, strict=True)):
+            A = r.grams[0] / s2 + prior[j]
+            b = r.grams[1] / s2 + prior[j] @ (mean[j] - x[j])
+            after[j] += np.linalg.solve(A + damping[j] * np.diag(np.diag(A)), b)
         after[:, 5:7] = np.clip(after[:, 5:7], [-0.2, 0.0], [0.4, 2.0])
-        return after
+        trial = _linearised(replay, after, mean, covariance, sigma)
+        before, now = (_costs(p, z, mean, covariance, variance) for p, z in ((best, x), (trial, after)))
+        better = now < before
+        x = np.where(better[:, None], after, x)
+        damping = np.where(better, damping / 6, damping * 6)
+        rows = tuple(b if ok else a for a, b, ok in zip(best.rows, trial.rows, better, strict=True))
+        best = replace(best, rows=rows, mean=(mean - x).ravel())
+        if (np.abs(before - now) < MIN_COST_DECREASE).all():
+            break
+    return x, best
 
-    *_, end = levenberg_marquardt(evaluate, x, 1 + MAX_STEPS, move=move, first=1e-2, absolute=MIN_COST_DECREASE)
-    return end.point, end.cost
+
+def _costs(problem: LogProblem, x: Array, mean: Array, covariance: Array, variance: Array) -> Array:
+    """Return the cost of each joint at the parameters x, with the noise variance of each."""
+    fits = [r.share * float(r.r @ r.r) / s2 for r, s2 in zip(problem.rows, variance, strict=True)]
+    asides = zip(x - mean, covariance, strict=True)
+    return np.array([fit + a @ np.linalg.solve(c, a) for fit, (a, c) in zip(fits, asides, strict=True)])
 
 
 def _linearised(replay: Replay, x: Array, mean: Array, covariance: Array, sigma: Array) -> LogProblem:
