@@ -73,7 +73,7 @@ def diagnose(
     ),
     next_n: int = Option(15, min=1, max=1000, help="How many of these poses."),
     room: o.Room = None,
-    network: bool = Option(False, "--network", help="Train 6-5-3 networks, without causes and after (slow)."),
+    network: bool = Option(False, "--network", help="Networks without and after causes (slow)."),
     bootstrap: int = Option(
         0,
         min=0,
@@ -89,7 +89,7 @@ def diagnose(
         "takes a robot file; diagnosis.json and diagnosis.txt. With several campaigns, a "
         "folder for each.",
     ),
-    unlisted: bool = Option(False, "--unlisted", help="With --out: an unknown cause enters the model."),
+    unlisted: bool = Option(False, "--unlisted", help="With --out: model an unknown cause, too."),
     report_file: o.Report = None,
     json_file: o.Json = None,
     details: o.Details = False,
