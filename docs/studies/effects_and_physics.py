@@ -15,9 +15,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import pairs_of_arm as arm
-import pairs_of_joints as joints
-import pairs_of_laws as laws
+import pairs_of_effects as pairs
 from counterpart_pairs import ROBOTS, Bench, Pair, bench
 
 
@@ -35,46 +33,46 @@ class Case:
 # Limits of what is built otherwise: half as much again as what a right formula shows, rounded up.
 SKEWED, LAW = "the wave is skewed", "another law"
 CASES = (
-    Case("gear_eccentricity", joints.eccentric_wheel),
-    Case("transmission_ripple", joints.tooth_ripple, 0.15, SKEWED),
-    Case("gear_mesh", joints.mesh, 0.15, SKEWED),
-    Case("joint_error_curve", joints.curve),
-    Case("joint_scale", joints.scale),
-    Case("joint_coupling", joints.coupling),
-    Case("joint_zero_step", joints.jump),
-    Case("thermal_zero_drift", joints.warm_gear),
-    Case("thermal_growth", arm.growth),
-    Case("target_shift", arm.knocked),
-    Case("frame_drift", arm.settling_stand),
-    Case("tracker_scale, refraction", arm.beam_of_light),
-    Case("refraction", arm.beam_from_afar),
-    Case("payload_error", joints.payload),
-    Case("link_masses", joints.links),
-    Case("missing_compliance", joints.soft),
-    Case("backlash", joints.stops_of_play, 0.1, "some poses lie at the threshold"),
-    Case("friction_windup", joints.windup, 0.1, "rubs in the loop's bearings"),
-    Case("friction_windup, by load", joints.windup_by_load, 0.1, "rubs in the loop's bearings"),
-    Case("nonlinear_stiffness", joints.hardening, 0.06, LAW),
-    Case("cubic_stiffness", joints.cubic),
-    Case("gravity_compensator", joints.tendon, 0.03, "acts at the deflected pose"),
-    Case("hose_drag", joints.hose, 0.3, f"{LAW}; axes 4 to 6 meet", ("hh800", "kr210")),
-    Case("axis_wobble", arm.pads),
+    Case("gear_eccentricity", pairs.eccentric_wheel),
+    Case("transmission_ripple", pairs.tooth_ripple, 0.15, SKEWED),
+    Case("gear_mesh", pairs.mesh, 0.15, SKEWED),
+    Case("joint_error_curve", pairs.curve),
+    Case("joint_scale", pairs.scale),
+    Case("joint_coupling", pairs.coupling),
+    Case("joint_zero_step", pairs.jump),
+    Case("thermal_zero_drift", pairs.warm_gear),
+    Case("thermal_growth", pairs.growth),
+    Case("target_shift", pairs.knocked),
+    Case("frame_drift", pairs.settling_stand),
+    Case("tracker_scale, refraction", pairs.beam_of_light),
+    Case("refraction", pairs.beam_from_afar),
+    Case("payload_error", pairs.payload),
+    Case("link_masses", pairs.links),
+    Case("missing_compliance", pairs.soft),
+    Case("backlash", pairs.stops_of_play, 0.1, "some poses lie at the threshold"),
+    Case("friction_windup", pairs.windup, 0.1, "rubs in the loop's bearings"),
+    Case("friction_windup, by load", pairs.windup_by_load, 0.1, "rubs in the loop's bearings"),
+    Case("nonlinear_stiffness", pairs.hardening, 0.06, LAW),
+    Case("cubic_stiffness", pairs.cubic),
+    Case("gravity_compensator", pairs.tendon, 0.03, "acts at the deflected pose"),
+    Case("hose_drag", pairs.hose, 0.3, f"{LAW}; axes 4 to 6 meet", ("hh800", "kr210")),
+    Case("axis_wobble", pairs.pads),
     # In the engine a parallelogram holds the link's end: the loop carries what the open chain of the effect does not.
-    Case("link_flexure", arm.beam, 0.03, "two hinges; no loop", ("kr210", "ur10e")),
-    Case("base_compliance", arm.pedestal, 0.2, "the foot sinks, too"),
-    Case("bearing_play, drop", arm.sag),
-    Case("bearing_play, rock", arm.rocking_flange),
-    Case("frame_step", laws.slipped_foot),
-    Case("frame_step, link", laws.slipped_flange),
-    Case("thermal_bend", laws.bent_link),
-    Case("settling_lag", laws.too_soon),
-    Case("friction_memory", laws.presliding),
-    Case("backlash_by_load", laws.play_by_load),
-    Case("load_hysteresis", laws.hysteresis, 0.1, "rubs in the loop's bearings"),
-    Case("load_hysteresis, square", laws.inner_friction),
-    Case("cross_coupling", laws.off_diagonal),
-    Case("frame_settling", laws.settling_frame),
-    Case("smr_offset", laws.reflector),
+    Case("link_flexure", pairs.beam, 0.03, "two hinges; no loop", ("kr210", "ur10e")),
+    Case("base_compliance", pairs.pedestal, 0.2, "the foot sinks, too"),
+    Case("bearing_play, drop", pairs.sag),
+    Case("bearing_play, rock", pairs.rocking_flange),
+    Case("frame_step", pairs.slipped_foot),
+    Case("frame_step, link", pairs.slipped_flange),
+    Case("thermal_bend", pairs.bent_link),
+    Case("settling_lag", pairs.too_soon),
+    Case("friction_memory", pairs.presliding),
+    Case("backlash_by_load", pairs.play_by_load),
+    Case("load_hysteresis", pairs.hysteresis, 0.1, "rubs in the loop's bearings"),
+    Case("load_hysteresis, square", pairs.inner_friction),
+    Case("cross_coupling", pairs.off_diagonal),
+    Case("frame_settling", pairs.settling_frame),
+    Case("smr_offset", pairs.reflector),
 )
 
 

@@ -1,176 +1,233 @@
-"""What two versions of the package say to the same inputs: python docs/studies/same_answers.py make|compare FOLDER ...
+"""Same answers on every processor and of two versions: python docs/studies/same_answers.py [--quick] [--tree FOLDER]
 
-`make FOLDER --tree CHECKOUT` runs the commands listed here with the package of a checkout (some 15 minutes on one core)
-and keeps what they write: JSON, text, robot files, generated C. `compare BEFORE AFTER` lists every difference: numbers
-beyond 1e-9 of their size, words, verdicts, and other files that are not equal byte for byte. Inputs are the shipped
-problems, practice and sealed campaigns, and series of the real UR10 at 300 poses. Nothing is judged here: a difference
-is listed, its reason is for a user who changed the code.
+Commands on the shipped problems, practice campaigns and examples run as on this machine and as on others: with
+OpenBLAS's kernels for other processors, two threads, without compiled functions, numpy without vector instructions, and
+with every reading changed by 1e-12 of itself. With `--tree` they run with the package of another checkout instead.
+Every difference is printed, and the exit code is 1 if there is one. These must be equal:
+
+- exit codes, all words that are printed, verdicts, causes, chosen poses
+- numbers in JSON and CSV: to 1e-7 of their standard error if it is known, else to 1e-6 of themselves; a hundred times
+  that if readings are changed; with `--tree` to 1e-9 of themselves
+- robot files and C to the byte, unless readings are changed
+
+`--quick` is for `.ci/run`: three environments, one command of most kinds. With `--folder` the results stay there, and
+the next run continues.
 """
+
+from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
+import random
 import re
+import shutil
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+import tempfile
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-CAMPAIGNS = ROOT / "data" / "campaigns"
-SERIES = {"A": ("ur10_grid", "A_grid"), "B": ("ur10_joints", "B_joint_configurations"), "C": ("ur10", "C_random_poses")}
-TOLERANCE = 1e-9  # of a number's size
-WHOLE = 1e-12  # of numbers in the units of the JSON: below, a number is rounding
-VOLATILE = re.compile(r"(seconds|duration|elapsed|version|created|_s\b|time)")
+MOVED, BARE, TREE = "readings", "interpreted", "tree"
+ENVIRONMENTS: dict[str, dict[str, str]] = {
+    **{name: {"OPENBLAS_CORETYPE": name} for name in ("Nehalem", "Prescott", "Haswell", "Zen", "SkylakeX")},
+    "two_threads": {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"},
+    BARE: {"PATH": "/nowhere"},  # no compiler: nothing is compiled, and an export is not verified
+    "plain_numpy": {"NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 X86_V3 X86_V4 AVX512F"},
+    MOVED: {},
+}
+QUICK = ("Nehalem", "Prescott", MOVED)
+QUICK_COMMANDS = r"^(calibrate-(planar|kr210)|check-planar|diagnose-kr210-P02|plan-planar|export-kr210)$"
+# Of a standard error; of a number without one; of numbers whose size means nothing, in their units (mm, deg, shares).
+LIMITS = {TREE: (0.0, 1e-9, 1e-12), MOVED: (1e-5, 1e-4, 1e-7)}
+USUAL_LIMITS = (1e-7, 1e-6, 1e-9)
+# A number of so few decimals was rounded: the last digit may differ, in this share of a command's numbers at most.
+DECIMALS, ROUNDED, ROUNDED_SHARE = 5, "the last digit of a rounded number", 0.02
+VOLATILE = re.compile(r"(seconds|duration|elapsed|version|created|_s\b|time|sha256|hash)")
+# Headings of joint readings, positions and distances; masses, times and directions are no readings.
+READINGS = re.compile(r"^(q|joint|j|theta|axis)_?\d+|^[xyz](_|$)|distance", re.IGNORECASE)
+ERRORS = ("std_error", "standard_error", "error", "std")
 
 
-def commands(scratch: Path) -> dict[str, list[str]]:
-    """Arguments of casadical, by the name of what they write; OUT stands for its folder, MADE for that of all."""
-    todo: dict[str, str] = {}
-    files = [path for path in ROOT.glob("problems/*/problem.toml") if "[[measurements]]" in path.read_text()]
-    for folder in sorted(path.parent.name for path in files):
-        todo[f"calibrate-{folder}"] = f"calibrate problems/{folder} --json OUT/a.json --out OUT/files --details"
-        todo[f"check-{folder}"] = f"check problems/{folder}"
-    sealed = sorted(CAMPAIGNS.glob("sealed/*.csv"))[::2][:24] + sorted(CAMPAIGNS.glob("sealed_B/*.csv"))[::10][:16]
-    for table in [*sorted(CAMPAIGNS.glob("practice/*.csv")), *sealed]:
-        name = table.stem.split("-")[0]
-        own = CAMPAIGNS / "robots_B" / f"{name}.robot.toml"
-        place = own if own.is_file() else ROOT / "problems" / name
-        inputs = f"{place.relative_to(ROOT)} {table.relative_to(ROOT)}"
+def commands(only: str) -> dict[str, list[str]]:
+    """Return arguments of casadical by name; OUT stands for a command's folder, MADE for that of all."""
+    todo = {}
+    for file in sorted(path for path in ROOT.glob("problems/*/problem.toml") if "[[measurements]]" in path.read_text()):
+        name = file.parent.name
+        todo[f"calibrate-{name}"] = f"calibrate problems/{name} --json OUT/a.json --out OUT/files --details"
+        todo[f"check-{name}"] = f"check problems/{name}"
+    for table in sorted((ROOT / "data/campaigns").glob("practice/*.csv")):
+        inputs = f"problems/{table.stem.split('-')[0]} {table.relative_to(ROOT)}"
         todo[f"diagnose-{table.stem}"] = f"diagnose {inputs} --json OUT/a.json --details"
-    for series, (folder, table) in SERIES.items():
-        lines = (ROOT / f"data/ur10_laser_tracker/series_{table}.csv").read_text().splitlines()
-        step, some = (len(lines) - 1) // 300, scratch / f"{series}.csv"
-        some.write_text("\n".join([lines[0], *lines[1::step][:300]]) + "\n")
-        todo[f"diagnose-ur10-{series}"] = f"diagnose problems/{folder} {some} --json OUT/a.json --details"
-    hh800, kr210 = (min(CAMPAIGNS.glob(f"practice/{name}*.csv")).relative_to(ROOT) for name in ("hh800", "kr210"))
-    todo["report-hh800"] = f"diagnose problems/hh800 {hh800} --report OUT/a.html --out OUT/files --next OUT/next.csv"
-    todo["fleet-three"] = (
-        "fleet problems/planar problems/kr210 problems/hh800 --store OUT/store.parquet --json OUT/a.json"
-    )
-    todo["plan-kr210"] = "plan problems/kr210 -n 20 --out OUT/plan.csv --quiet"
-    todo["compare-kr210"] = f"compare {kr210} {kr210.with_stem('kr210-P05')} --robot problems/kr210 --json OUT/a.json"
-    todo["report-planar"] = "calibrate problems/planar --report OUT/a.html"
-    todo["discover-kr210"] = f"diagnose problems/kr210 {kr210} --laws --json OUT/a.json"
-    for name in ("kr210", "ur10"):
-        robots = f"MADE/calibrate-{name}/files/SKCM.robot.toml --nominal problems/{name}/robot.toml"
-        todo[f"export-{name}"] = f"export c {robots} --out OUT/c --json OUT/a.json --leave-out"
-    todo["verify-ur10"] = f"verify MADE/calibrate-ur10/files/SKCM.robot.toml {scratch / 'C.csv'} --json OUT/a.json"
-    todo["touches-ur10"] = "plan MADE/calibrate-ur10/files/SKCM.robot.toml --touches 5 --out OUT/touches.csv"
-    todo["certificate-ur10"] = "certificate MADE/calibrate-ur10/files --problem problems/ur10 --json OUT/a.json"
-    todo["certificate-planar"] = "certificate MADE/calibrate-planar/files --problem problems/planar --json OUT/a.json"
-    todo["model-kr210"] = "export model MADE/calibrate-kr210/files/KM.robot.toml --to mjcf --leave-out --out OUT/a.xml"
-    todo["fleet-two"] = "fleet problems/planar problems/ur5 --store OUT/store.parquet --json OUT/a.json --no-diagnose"
     for log in sorted((ROOT / "data/so101_logs").glob("*.csv.gz")):
         todo[f"log-{log.name.split('.')[0]}"] = f"diagnose problems/so101 {log.relative_to(ROOT)} --json OUT/a.json"
-    table = scratch / "program.csv"
-    rows = [line.split(",") for line in (ROOT / kr210).read_text().splitlines()[:11]]
-    targets = [k for k, heading in enumerate(rows[0]) if heading.startswith("q")]
-    table.write_text("\n".join(",".join(row[k] for k in targets) for row in rows) + "\n")
-    model = "MADE/calibrate-kr210/files/SKCM.robot.toml --nominal problems/kr210/robot.toml"
-    todo["correct-kr210"] = f"correct {model} {table} --leave-out --out OUT/corrected.csv --json OUT/a.json"
-    todo["isolability-kr210"] = "plan problems/kr210 --isolability --json OUT/a.json"
-    todo["new-example"] = "new OUT/arm --example"
-    todo["calibrate-example"] = "calibrate MADE/new-example/arm --json OUT/a.json --out OUT/files"
-    todo["measure-example"] = "measure MADE/new-example/arm --simulate 12 --no-page"
-    todo["withheld-kr210"] = "withheld robot problems/kr210 --poses 40 --n 4 --seed 1 --workers 1 --json OUT/a.json"
-    table = "data/ur10_laser_tracker/series_B_joint_configurations.csv"
-    todo["calibrate-csv"] = f"calibrate problems/ur10_joints {table} --method KM --json OUT/a.json"
-    return {name: words.split() for name, words in todo.items()}
-
-
-def make(folder: Path, tree: Path, jobs: int, only: str) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    scratch = folder.resolve().parent / "inputs"
-    scratch.mkdir(exist_ok=True)
-    todo = {name: words for name, words in commands(scratch).items() if re.search(only, name)}
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(tree.resolve()),
-        "PYTHONSAFEPATH": "1",  # else the package of the folder that it runs in comes first
-        "OMP_NUM_THREADS": "1",
-        "COLUMNS": "120",
-        "NO_COLOR": "1",
+    kr210 = "data/campaigns/practice/kr210-P02.csv"
+    hh800 = "diagnose problems/hh800 data/campaigns/practice/hh800-P01.csv"
+    robot = "MADE/calibrate-kr210/files/SKCM.robot.toml"
+    todo |= {
+        "plan-planar": "plan problems/planar -n 8 --out OUT/plan.csv --quiet",
+        "export-kr210": f"export c {robot} --nominal problems/kr210 --out OUT/c --json OUT/a.json --leave-out",
+        "report-hh800": f"{hh800} --report OUT/a.html --out OUT/files --next OUT/next.csv",
+        "laws-kr210": f"diagnose problems/kr210 {kr210} --laws --json OUT/a.json",
+        "fleet": "fleet problems/planar problems/kr210 problems/hh800 --store OUT/store.parquet --json OUT/a.json",
+        "compare-kr210": f"compare {kr210} {kr210.replace('P02', 'P05')} --robot problems/kr210 --json OUT/a.json",
+        "verify-kr210": f"verify {robot} {kr210} --json OUT/a.json",
+        "touches-kr210": f"plan {robot} --touches 5 --out OUT/touches.csv",
+        "certificate-kr210": "certificate MADE/calibrate-kr210/files --problem problems/kr210 --json OUT/a.json",
+        "model-kr210": f"export model {robot} --to mjcf --leave-out --out OUT/a.xml",
+        "isolability-kr210": "plan problems/kr210 --isolability --json OUT/a.json",
+        "new-example": "new OUT/arm --example",
+        "measure-example": "measure MADE/new-example/arm --simulate 12 --no-page",
+        "withheld-kr210": "withheld robot problems/kr210 --poses 40 --n 4 --seed 1 --workers 1 --json OUT/a.json",
     }
-
-    def run(name: str) -> None:
-        out = folder.resolve() / name
-        out.mkdir(exist_ok=True)
-        words = [w.replace("OUT", str(out)).replace("MADE", str(folder.resolve())) for w in todo[name]]
-        program = [sys.executable, "-c", "from casadical.cli import main; main()", *words]
-        done = subprocess.run(program, cwd=ROOT, env=environment, capture_output=True, text=True)
-        (out / "stdout.txt").write_text(done.stdout.replace(str(folder.resolve()), "FOLDER"))
-        (out / "exit.txt").write_text(f"{done.returncode}\n{done.stderr[-2000:] if done.returncode else ''}")
-        print(f"{name}: exit {done.returncode}", flush=True)
-
-    later = [name for name in todo if "MADE" in " ".join(todo[name])]
-    with ThreadPoolExecutor(jobs) as pool:
-        list(pool.map(run, [name for name in todo if name not in later]))
-        list(pool.map(run, later))
+    wanted = {name for name in todo if re.search(only, name)}
+    needed = {match for name in wanted for match in re.findall(r"MADE/([\w-]+)", todo[name])}
+    return {name: words.split() for name, words in todo.items() if name in wanted | needed}
 
 
-def differences(a: Any, b: Any, place: str = "") -> list[str]:
+def copy_inputs(place: Path, moved: bool) -> None:
+    """Copy the problems and the data of the repository; moved : whether every reading is changed."""
+    for source in (ROOT / "problems", ROOT / "data"):
+        shutil.copytree(source, place / source.name, ignore=shutil.ignore_patterns("*.xz", "answers*"))
+    rng = random.Random(0)
+    for path in place.rglob("*.csv") if moved else ():
+        head, *rows = path.read_text("utf-8").splitlines()
+        own = [k for k, name in enumerate(head.split(",")) if READINGS.search(name.strip())]
+        cells = [row.split(",") for row in rows]
+        for row in cells:
+            for k in own:
+                if k < len(row) and re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", row[k].strip()):
+                    row[k] = repr(float(row[k]) * (1 + 1e-12 * rng.uniform(-1, 1)))
+        path.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n", "utf-8")
+
+
+def place_of(base: Path, which: str) -> Path:
+    """Return the folder of an environment; all names are equally long, so that printed commands break alike."""
+    return base / which.ljust(max(map(len, ENVIRONMENTS)), "_")
+
+
+def run(name: str, words: list[str], place: Path, environment: dict[str, str]) -> None:
+    """Run one command; what it writes, prints and returns goes to a folder of its name."""
+    out = place / "made" / name
+    if (out / "printed.txt").exists():  # of an earlier run
+        return
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    words = [w.replace("OUT", str(out)).replace("MADE", str(place / "made")) for w in words]
+    program = [sys.executable, "-c", "from casadical.cli import main; main()", *words]
+    usual = {"OMP_NUM_THREADS": "1", "COLUMNS": "120", "NO_COLOR": "1", "CASADICAL_CACHE": str(place / "cache")}
+    whole = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONSAFEPATH": "1", **usual, **environment}
+    done = subprocess.run(program, cwd=place, env=whole, capture_output=True, text=True)
+    (out / "printed.txt").write_text(f"exit code {done.returncode}\n{done.stdout}{done.stderr}".replace(str(place), ""))
+
+
+def differences(a: Any, b: Any, place: str, limits: tuple[float, float, float], error: float = 0.0) -> list[str]:
+    """Return what differs between two JSON trees; error : standard error that is stated for a number."""
     if isinstance(a, dict) and isinstance(b, dict):
         lost = [f"{place}: keys {sorted(set(a) ^ set(b))}"] if set(a) != set(b) else []
+        given = next((float(a[key]) for key in ERRORS if isinstance(a.get(key), int | float)), 0.0)
         both = [key for key in a if key in b and not VOLATILE.search(str(key))]
-        return lost + [line for key in both for line in differences(a[key], b[key], f"{place}.{key}")]
+        return lost + [line for key in both for line in differences(a[key], b[key], f"{place}.{key}", limits, given)]
     if isinstance(a, list) and isinstance(b, list):
         if len(a) != len(b):
-            return [f"{place}: {len(a)} entries, {len(b)} now"]
-        return [line for i, (x, y) in enumerate(zip(a, b, strict=True)) for line in differences(x, y, f"{place}[{i}]")]
-    if isinstance(a, int | float) and isinstance(b, int | float) and not isinstance(a, bool):
-        near = math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=WHOLE) or (math.isnan(a) and math.isnan(b))
-        return [] if near else [f"{place}: {a!r}, now {b!r} ({abs(a - b) / max(abs(a), abs(b)):.1e})"]
-    return [] if a == b else [f"{place}: {a!r}, now {b!r}"]
+            return [f"{place}: {len(a)} entries and {len(b)}"]
+        pairs = enumerate(zip(a, b, strict=True))
+        return [line for i, (x, y) in pairs for line in differences(x, y, f"{place}[{i}]", limits)]
+    if isinstance(a, float) and isinstance(b, int | float):
+        of_error, of_itself, whole = limits
+        limit = max(of_error * abs(error) if error and of_error else of_itself * abs(a), whole)
+        near = abs(a - b) <= limit or (a != a and b != b)
+        digits = max(len(repr(x).partition(".")[2]) for x in (a, b))
+        rounded = "e" not in repr(a) and digits <= DECIMALS and abs(a - b) < 1.5 * 10.0**-digits
+        how = ROUNDED if rounded else f"{abs(a - b) / max(abs(a), abs(b)):.1e} of it"
+        return [] if near else [f"{place}: {a!r} and {b!r} ({how})"]
+    return [] if a == b else [f"{place}: {a!r} and {b!r}"[:300]]
 
 
-def text_differences(a: str, b: str) -> list[str]:
-    before, after = a.splitlines(), b.splitlines()
-    if len(before) != len(after):
-        return [f"{len(before)} lines, {len(after)} now"]
-    return [
-        f"line {i}: {x.strip()[:110]!r}, now {y.strip()[:110]!r}"
-        for i, (x, y) in enumerate(zip(before, after, strict=True), 1)
-        if x != y
-    ]
-
-
-def compare(before: Path, after: Path, only: str, most: int) -> None:
-    equal = differing = 0
-    for path in sorted(p for p in before.rglob("*") if p.is_file() and ".parquet" not in str(p)):
-        name = str(path.relative_to(before))
-        if not re.search(only, name) or (not (after / name).parents[len(Path(name).parts) - 2].is_dir()):
+def compared(one: Path, other: Path, which: str) -> list[str]:
+    """Return what differs between the folders of one command; which : environment of the other."""
+    moved, limits = which == MOVED, LIMITS.get(which, USUAL_LIMITS)
+    names = {p.relative_to(one) for p in one.rglob("*") if p.is_file()}
+    names ^= {p.relative_to(other) for p in other.rglob("*") if p.is_file()}
+    found = [f"{name}: is in one only" for name in sorted(names) if ".parquet" not in str(name)]
+    for path in sorted(p for p in one.rglob("*") if p.is_file()):
+        name = path.relative_to(one)
+        exported = moved and "c" in name.parts[:-1]  # C of other numbers is other C
+        unverified = which == BARE and (one / "c").is_dir() and path.suffix not in (".c", ".h", ".st")
+        if exported or unverified or not (other / name).is_file() or path.suffix in (".html", ".parquet"):
             continue
-        if not (after / name).is_file():
-            lines = ["is not written now"]
-        elif path.suffix == ".json" and "compensator" not in name:
-            lines = differences(json.loads(path.read_text()), json.loads((after / name).read_text()))
+        places = ((one, path), (other, other / name))
+        a, b = (p.read_text("utf-8", "replace").replace(str(f), "").replace(str(f.parents[1]), "") for f, p in places)
+        if path.suffix == ".txt":  # where a printed command breaks depends on the length of the folder's name
+            a, b = (re.sub(r"\s*\\\n\s*", " ", text).replace("'", "") for text in (a, b))
+        if moved:  # hashes of robot files with other numbers
+            a, b = (re.sub(r"[0-9a-f]{40,64}", "", text) for text in (a, b))
+        if a == b:
+            continue
+        if path.suffix == ".json":
+            found += [f"{name}{line}" for line in differences(json.loads(a), json.loads(b), "", limits)]
+        elif path.suffix == ".csv" or (moved and path.suffix != ".txt"):
+            found += [f"{name} {line}" for line in differences(_cells(a), _cells(b), "", limits)]
         else:
-            lines = text_differences(path.read_text(errors="replace"), (after / name).read_text(errors="replace"))
-        equal, differing = equal + (not lines), differing + bool(lines)
-        for line in lines[:most]:
-            print(f"{name}{line if line[0] in '.[' else ': ' + line}")
-        if len(lines) > most:
-            print(f"{name}: and {len(lines) - most} more")
-    print(f"{equal} files are equal, {differing} differ")
+            lines = [pair for pair in zip(a.splitlines(), b.splitlines(), strict=False) if pair[0] != pair[1]]
+            found += [f"{name}: {x.strip()[:100]!r} and {y.strip()[:100]!r}" for x, y in lines or [("", "its end")]]
+    return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("action", choices=("make", "compare"))
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--tree", type=Path, default=ROOT, help="checkout whose package answers")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", default="", help="regular expression of names")
-    parser.add_argument("--most", type=int, default=6, help="differences printed for a file")
+def _cells(text: str) -> list[list[Any]]:
+    """Return the words and numbers of every line."""
+    number = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+    cells = [re.split(r"[\s,;(){}\[\]=]+", line) for line in text.splitlines()]
+    return [[float(c) if number.fullmatch(c) else c for c in row] for row in cells]
+
+
+def differs(base: Path, name: str, which: str) -> bool:
+    """Print what differs for one command in another environment; return whether anything does but rounding."""
+    one = place_of(base, "here") / "made" / name
+    found = compared(one, place_of(base, which) / "made" / name, which)
+    numbers = sum(len(re.findall(rf"\.\d{{1,{DECIMALS}}}(?![\de])", p.read_text())) for p in one.rglob("*.json"))
+    rounded = [line for line in found if ROUNDED in line]
+    others = [line for line in found if line not in rounded or len(rounded) > max(1.0, ROUNDED_SHARE * numbers)]
+    for line in found[:6] + [f"and {len(found) - 6} more"] * (len(found) > 6):
+        print(f"{'DIFFERS' if others else 'ROUNDED'} {which}: {name}: {line}", flush=True)
+    return bool(others)
+
+
+def study(base: Path, given: argparse.Namespace) -> int:
+    """Run the commands one after the other in all environments, and print what differs; return the exit code."""
+    environments = {which: ENVIRONMENTS[which] for which in (QUICK if given.quick else ENVIRONMENTS)}
+    if given.tree:
+        environments = {TREE: {"PYTHONPATH": str(given.tree.resolve())}}
+    todo = commands(given.only or (QUICK_COMMANDS if given.quick else ""))
+    environments = {"here": {}, **environments}
+    for which in environments:
+        if not place_of(base, which).exists():
+            copy_inputs(place_of(base, which), which == MOVED)
+    count = 0
+    for name, words in todo.items():
+        for which, environment in environments.items():
+            run(name, words, place_of(base, which), environment)
+        wrong = [which for which in environments if which != "here" and differs(base, name, which)]
+        count += len(wrong)
+        print(f"{name}: {len(wrong)} of {len(environments) - 1} differ", flush=True)
+    print(f"{len(todo)} commands in {', '.join(environments)}: {count} of {len(todo) * (len(environments) - 1)} differ")
+    return 1 if count else 0
+
+
+def main() -> int:
+    """Run the study in a folder that stays or in a temporary one, and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--only", default="", help="regular expression of names of commands")
+    parser.add_argument("--tree", type=Path, help="checkout whose package is compared with this one")
+    parser.add_argument("--folder", type=Path, help="where the results stay")
     given = parser.parse_args()
-    if given.action == "make":
-        make(given.folders[0], given.tree, given.jobs, given.only)
-    else:
-        compare(given.folders[0], given.folders[1], given.only, given.most)
+    if given.folder:
+        return study(given.folder.resolve(), given)
+    with tempfile.TemporaryDirectory() as folder:
+        return study(Path(folder), given)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

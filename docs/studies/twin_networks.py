@@ -1,109 +1,158 @@
 """OMP_NUM_THREADS=1 python docs/studies/twin_networks.py | tee docs/studies/twin_networks.txt
 
-Networks on what SKCM leaves of the HH800 twin (synthetic), 50 training poses and the set report as held-out poses:
-every trainer over 50 seeds on the experiment of problems/hh800; local minima; and a Gaussian process in the place of
-the network. Writes twin_networks.png.
+Networks on what SKCM leaves of the HH800 twin (synthetic): every trainer of the compensator over 50 seeds on the 50
+training poses of problems/hh800, the set report as held-out poses; and how often trainings end in local minima. Answers
+the paper's two claims: does invasive weed optimisation avoid local minima that single runs of back-propagation fall
+into, and does it beat Levenberg-Marquardt with ridge?
 """
 
 from __future__ import annotations
 
-import sys
+import dataclasses
+import time
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import trainers
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from casadical import from_table, identify, read_problem
+from casadical.compensator import (
+    Backprop,
+    Iwo,
+    IwoSettings,
+    IwoThenLm,
+    JointBox,
+    Layout,
+    LevenbergMarquardt,
+    Taught,
+    Trainer,
+    make_task,
+    train,
+)
+from casadical.compensator.network import Loss
 from casadical.identification import residual_mm
 
 HH800 = Path(__file__).parents[2] / "problems" / "hh800"
 SEEDS, STARTS = 50, 20
-Arrays = tuple[np.ndarray, np.ndarray]
+PLAIN_LM = LevenbergMarquardt(restarts=1, iterations=400, ridges=(0.0,))
+# Trainer, and millimetres of one output unit (None: root mean square of the training residual), by name.
+TRAINERS: dict[str, tuple[Trainer, float | None]] = {
+    "iwo, as in the paper": (Iwo(), 1.0),
+    "iwo, scaled, 5000 it.": (Iwo(IwoSettings(iterations=5000)), None),
+    "backprop, one run": (Backprop(), None),
+    "lm, one run, no ridge": (PLAIN_LM, None),
+    "lm, ridge by CV": (LevenbergMarquardt(), None),
+    "iwo then lm, ridge by CV": (IwoThenLm(), None),
+    "taught by a process": (Taught(), None),
+}
+# Pairs of which the print says how often the first has the smaller held-out error.
+RIVALS = (
+    ("iwo, as in the paper", "backprop, one run"),
+    ("iwo, scaled, 5000 it.", "backprop, one run"),
+    ("iwo, as in the paper", "lm, ridge by CV"),
+    ("iwo, as in the paper", "no network"),
+    ("lm, ridge by CV", "no network"),
+    ("taught by a process", "no network"),
+)
 
 
 @cache
-def robot():
-    return read_problem(HH800).robot
-
-
-@cache
-def residuals() -> dict[str, Arrays]:
-    """Joint angles and SKCM's residual [mm] of every set of the stored experiment."""
+def residuals() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return joint angles and SKCM's residuals [mm] of every set of the stored experiment."""
     table = pd.read_csv(HH800.parents[1] / "data/hh800_twin/hh800_twin.csv")
     m = from_table(table, 6, "position")
     sets = {name: m[(table["set"] == name).to_numpy()] for name in table["set"].unique()}
-    found = identify(robot(), sets["identify"], method="SKCM").robot
+    found = identify(read_problem(HH800).robot, sets["identify"], method="SKCM").robot
     return {name: (part.q, residual_mm(found, part)) for name, part in sets.items()}
 
 
-def stored(_seed: int) -> tuple[Arrays, Arrays]:
-    return residuals()["train"], residuals()["report"]
+def tasks(scale: float | None):
+    """Return the training and the held-out task; scale : millimetres of one output unit."""
+    (q, residual), (other_q, other) = residuals()["train"], residuals()["report"]
+    layout, box = Layout(joints=q.shape[1]), JointBox(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
+    unit = scale if scale is not None else float(np.sqrt(np.mean(residual**2)))
+    return make_task(layout, box, q, residual, scale_mm=unit), make_task(layout, box, other_q, other, scale_mm=unit)
 
 
-def same_experiment() -> dict[str, np.ndarray]:
-    """Only the trainers' seed differs."""
-    print(f"A. the stored experiment, problems/hh800; {SEEDS} seeds of the trainers\n")
-    for name in ("iwo, scaled output", "lm, best of 20, no ridge"):  # as in trainers.txt; left out for time
-        del trainers.TRAINERS[name]
-    found = trainers.distributions(stored, SEEDS)
-    trainers.print_distributions(found)
+def lengths(errors_mm: np.ndarray) -> tuple[float, float, float]:
+    """Return mean, max and std of the error lengths [mm]."""
+    length = np.linalg.norm(errors_mm, axis=1)
+    return float(length.mean()), float(length.max()), float(length.std(ddof=1))
+
+
+def quartiles(values: np.ndarray) -> str:
+    """Return 'median (lower quartile .. upper quartile)'."""
+    low, middle, high = np.percentile(values, [25, 50, 75])
+    return f"{middle:.3f} ({low:.3f}..{high:.3f})"
+
+
+def distributions() -> dict[str, np.ndarray]:
+    """Return held-out mean, max, std, training mean, loss and CPU time of each trainer, shape (seeds, 6)."""
+    found: dict[str, list[tuple[float, ...]]] = {"no network": []}
+    for seed in range(SEEDS):
+        training, held_out = tasks(None)
+        nothing = np.zeros(training.layout.count)
+        before = (lengths(training.errors_mm(nothing))[0], float(training.losses(nothing[None])[0]), 0.0)
+        found["no network"].append((*lengths(held_out.errors_mm(nothing)), *before))
+        for name, (trainer, scale) in TRAINERS.items():
+            training, held_out = tasks(scale)
+            start = time.process_time()
+            result = train(training, trainer, seed=seed)
+            seconds = time.process_time() - start
+            after = (lengths(training.errors_mm(result.weights))[0], result.loss_mm2, seconds)
+            found.setdefault(name, []).append((*lengths(held_out.errors_mm(result.weights)), *after))
+    return {name: np.array(rows) for name, rows in found.items()}
+
+
+def print_distributions(found: dict[str, np.ndarray]) -> None:
+    """Print the table of `distributions`, and which of two trainers wins how often."""
+    print(f"held-out error over {SEEDS} seeds [mm]: median (quartiles); the paper's loss on training poses [mm2]")
+    print(f"{'':26}{'mean':>24}{'max':>24}{'std':>24}{'training mean':>15}{'loss':>9}{'CPU [s]':>9}{'worse':>7}")
+    before = found["no network"][:, 0]
+    for name, rows in found.items():
+        text = "".join(f"{quartiles(rows[:, i]):>24}" for i in range(3))
+        training, loss, seconds = (float(np.median(rows[:, i])) for i in (3, 4, 5))
+        print(f"{name:26}{text}{training:15.3f}{loss:9.4f}{seconds:9.2f}{int(np.sum(rows[:, 0] > before)):4}/{SEEDS}")
     print("how often the first has the smaller held-out error (median gain):")
-    for one, other in (
-        ("iwo, as in the paper", "backprop, one run"),
-        ("iwo, scaled, 5000 it.", "backprop, one run"),
-        ("iwo, as in the paper", "lm, ridge by CV"),
-        ("iwo, as in the paper", "no network"),
-        ("lm, ridge by CV", "no network"),
-        ("taught by a process", "no network"),
-    ):
-        trainers.compare(found, one, other)
-    sys.stdout.flush()
-    return found
+    for one, other in RIVALS:
+        a, b = found[one][:, :3], found[other][:, :3]
+        each = zip(("mean", "max", "std"), np.sum(a < b, axis=0), np.median(1 - a / b, axis=0), strict=True)
+        figures = ", ".join(f"{name}: {wins}/{SEEDS} ({100 * gain:+.0f} %)" for name, wins, gain in each)
+        print(f"  '{one}' against '{other}': {figures}", flush=True)
 
 
-def gaussian_process(q: np.ndarray, y: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Mean of a Gaussian process with a length for each joint and noise, by maximum likelihood; shape (m, outputs)."""
-
-    def kernel(a: np.ndarray, b: np.ndarray, logs: np.ndarray) -> np.ndarray:
-        a, b = a / np.exp(logs[:6]), b / np.exp(logs[:6])
-        square = (a**2).sum(1)[:, None] + (b**2).sum(1) - 2 * a @ b.T
-        return np.exp(2 * logs[6] - 0.5 * np.maximum(square, 0))
-
-    def cost(logs: np.ndarray, q: np.ndarray, y: np.ndarray) -> float:
-        K = kernel(q, q, logs) + np.exp(2 * logs[7]) * np.eye(len(q))
-        factor = cho_factor(K, lower=True)
-        half = np.log(np.diag(factor[0])).sum()
-        return float(0.5 * np.sum(y * cho_solve(factor, y)) + y.shape[1] * half)
-
-    few = slice(0, 300)  # lengths from a part of them, then all poses
-    spread = np.log(np.std(y) + 1e-9)
-    starts = [np.r_[np.full(6, np.log(s)), spread, spread - 1] for s in (1.0, 3.0)]
-    bounds = [(np.log(0.1), np.log(100.0))] * 6 + [(spread - 5, spread + 3)] * 2
-    ends = [minimize(cost, s, (q[few], y[few]), "L-BFGS-B", bounds=bounds, options={"maxiter": 60}) for s in starts]
-    best = min(ends, key=lambda end: end.fun).x
-    K = kernel(q, q, best) + np.exp(2 * best[7]) * np.eye(len(q))
-    return kernel(at, q, best) @ cho_solve(cho_factor(K, lower=True), y)
+def print_local_minima() -> None:
+    """Print where trainings end, and in which basins: each end polished without ridge."""
+    training, _ = tasks(None)
+    square = dataclasses.replace(training, loss=Loss(1.0, 0.0))
+    starts = {
+        "random start": lambda _: None,
+        "backprop, mean square": lambda seed: train(square, Backprop(steps=3000), seed=seed).weights,
+        "backprop, paper's loss": lambda seed: train(training, Backprop(steps=3000), seed=seed).weights,
+        "iwo, 500 iterations": lambda seed: train(training, Iwo(), seed=seed).weights,
+        "iwo, 5000 iterations": lambda seed: train(training, Iwo(IwoSettings(iterations=5000)), seed=seed).weights,
+    }
+    runs = range(STARTS)
+    ends = {name: np.array([_end(square, start(seed), seed) for seed in runs]) for name, start in starts.items()}
+    best = min(values[:, 1].min() for values in ends.values())
+    print(f"\nlocal minima: {STARTS} runs; root mean square training error a coordinate [mm] at the end, and after")
+    print("polishing that end by Levenberg-Marquardt without ridge to the bottom of its basin")
+    print(f"{'':26}{'end':>24}{'bottom of its basin':>24}{'within 10 % of the best basin':>32}")
+    for name, values in ends.items():
+        near = int(np.sum(values[:, 1] < 1.1 * best))
+        print(f"{name:26}{quartiles(values[:, 0]):>24}{quartiles(values[:, 1]):>24}{near:>28}/{STARTS}")
 
 
-def process_on_fifty_poses() -> None:
-    """The Gaussian process in the place of the network: 50 poses of the set train, errors on the set report."""
-    (q, y), (other_q, other) = residuals()["train"], residuals()["report"]
-    before, after = trainers.lengths(other), trainers.lengths(other - gaussian_process(q, y, other_q))
-    print("\nGaussian process on the 50 poses of the set train, errors on the set report:")
-    print(f"  mean {before[0]:.3f} > {after[0]:.3f}, max {before[1]:.3f} > {after[1]:.3f}")
-
-
-def main() -> None:
-    found = same_experiment()
-    title = "HH800 twin (synthetic): errors on the set report, 50 seeds of each trainer"
-    trainers.plot(found, Path(__file__).with_suffix(".png"), title)
-    trainers.local_minima(stored, STARTS)
-    process_on_fifty_poses()
+def _end(task, weights: np.ndarray | None, seed: int) -> tuple[float, float]:
+    """Return root mean square errors [mm] of weights (or of a random start) and of the optimum below them."""
+    run = PLAIN_LM.begin(task, seed, starts=None if weights is None else weights[None])
+    first = run.best()
+    while not run.reasons():
+        run.step()
+    return tuple(float(np.sqrt(task.losses(w[None])[0])) for w in (first, run.best()))  # type: ignore[return-value]
 
 
 if __name__ == "__main__":
-    main()
+    print_distributions(distributions())
+    print_local_minima()

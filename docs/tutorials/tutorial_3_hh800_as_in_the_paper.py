@@ -179,7 +179,7 @@ assert gain > 0.15
 # Where we differ from the paper, and why
 # ---------------------------------------
 # - On fifty poses, the paper's two networks make new poses worse here. In the paper they are better. Its data are not
-#   public, so the reason is unknown; the results are the same in 30 other simulated experiments
+#   public, so the reason is unknown; the results are the same with 50 other seeds of the trainers
 #   (``docs/studies/twin_networks.txt``), and on a real UR10 both are rejected as well
 #   (``docs/studies/real_networks.txt``).
 # - The paper's explanation, that the method avoids local minima of gradient methods, does not hold on our data:

@@ -18,7 +18,7 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
 
 import effects_and_physics as study
-from pairs_of_joints import tendon
+from pairs_of_effects import tendon
 
 CASES = {case.name: case for case in study.CASES}
 # On one robot, one of each place in the engine: motors, springs, mechanism, settings, measurement.
