@@ -1,14 +1,11 @@
-"""Run `python docs/studies/c_matrix.py [--install]`: every figure of the exported C.
+"""The exported C on processors under QEMU: python docs/studies/c_matrix.py > docs/studies/c_matrix.txt
 
-The bits that processors under QEMU compute, and instruction counts, flash and RAM on Cortex-M. The robot and the
-network are those of tests/export/c. `--quick` takes a hundredth of the vectors, `--only NAMES` some of the sections.
-`--install` first installs Debian's packages of the tools that are missing. What a machine cannot run is printed as not
-run, with the reason.
+The bits that a call computes on x86-64, ARM, RISC-V and PowerPC, and instructions of a call, flash and RAM on Cortex-M.
+The robot and the network are those of tests/export/c. Debian's packages of compilers and QEMU are needed (gcc, clang,
+gcc-arm-none-eabi, libnewlib-arm-none-eabi, qemu-system-arm, qemu-user, and gcc of the architectures below); what a
+machine cannot run is printed as not run.
 """
 
-import argparse
-import os
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,181 +22,74 @@ from casadical.export.c.kernel import compilers  # noqa: E402
 from casadical.export.c.reference import correct, network  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 
-PACKAGES = {
-    "gcc": "gcc",
-    "clang": "clang",
-    "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
-    "qemu-system-arm": "qemu-system-arm",
-    "qemu-aarch64": "qemu-user",
-    "aarch64-linux-gnu-gcc": "gcc-aarch64-linux-gnu libc6-dev-arm64-cross",
-    "arm-linux-gnueabihf-gcc": "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross",
-    "riscv64-linux-gnu-gcc": "gcc-riscv64-linux-gnu libc6-dev-riscv64-cross",
-    "powerpc64-linux-gnu-gcc": "gcc-powerpc64-linux-gnu libc6-dev-ppc64-cross",
-}
-FOREIGN = {
+VECTORS = 20_000
+COMPILERS = {
+    "x86-64 gcc": "gcc",
+    "x86-64 clang": "clang",
     "aarch64": "aarch64-linux-gnu-gcc",
     "armhf": "arm-linux-gnueabihf-gcc",
     "riscv64": "riscv64-linux-gnu-gcc",
     "ppc64": "powerpc64-linux-gnu-gcc",
 }
-QEMU = {"armhf": "qemu-arm"}
-REALS = ("float", "double")
+EMULATORS = {"aarch64": "qemu-aarch64", "armhf": "qemu-arm", "riscv64": "qemu-riscv64", "ppc64": "qemu-ppc64"}
 WORK = Path(tempfile.mkdtemp())
-
 NETWORK = models.network_function()
-PRODUCTS = {"network": NETWORK, "command": models.command(NETWORK)}
+CALLS = (
+    ("network", NETWORK, "arm_network", 3, network),
+    ("command", models.command(NETWORK), "arm_correct", 6, correct),
+)
 
 
-def install():
-    """Install Debian's packages of the tools that are missing, where that is allowed."""
-    lacking = sorted({p for tool, p in PACKAGES.items() if shutil.which(tool) is None})
-    if lacking and os.geteuid() == 0 and shutil.which("apt-get"):
-        names = " ".join(lacking).split()
-        subprocess.run(["apt-get", "update"], check=False, capture_output=True)
-        command = ["apt-get", "install", "-y", "--no-install-recommends", *names]
-        environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
-        subprocess.run(command, check=False, capture_output=True, env=environment)
-
-
-def section(title):
-    print(f"\n{title}", flush=True)
-
-
-def line(what, figure, target=""):
-    print(f"  {what:58s} {figure}" + (f"   [target {target}]" if target else ""), flush=True)
-
-
-def run(command, **more):
-    return subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, **more)
-
-
-def lacking(*tools):
-    gone = targets.missing(*tools)
-    return f"not run: {', '.join(gone)} not installed" if gone else ""
-
-
-def host_and_foreign(folder, flags):
+def digests(folder, flags):
+    """Return the hash of status and outputs on each processor, by its name."""
     found = {}
-    sources = [targets.HERE / "bench.c", folder / "arm.c"]
-    for name, compiler in {"x86-64 gcc": "gcc", "x86-64 clang": "clang"}.items() | FOREIGN.items():
-        qemu = QEMU.get(name, f"qemu-{name}")
-        if lacking(compiler, *([qemu] if name in FOREIGN else [])):
+    for name, compiler in COMPILERS.items():
+        emulator = [EMULATORS[name]] if name in EMULATORS else []
+        if targets.missing(compiler, *emulator):
             found[name] = "not run"
             continue
         out = WORK / "bench"
-        command = [compiler, "-std=gnu11", "-O2", "-static", "-ffp-contract=off", f"-I{folder}", *flags, *sources]
-        built = run([*command, "-o", out])
-        if built.returncode:
-            found[name] = built.stderr[:200]
-            continue
-        found[name] = run([*([qemu] if name in FOREIGN else []), out]).stdout.strip()
+        command = [compiler, "-std=gnu11", "-O2", "-static", "-ffp-contract=off", f"-I{folder}", *flags]
+        subprocess.run([*command, targets.HERE / "bench.c", folder / "arm.c", "-o", out], check=True)
+        found[name] = subprocess.run([*emulator, out], capture_output=True, text=True, check=True).stdout.strip()
+    if not targets.missing("arm-none-eabi-gcc", "qemu-system-arm"):
+        found |= {board: targets.cortex(board, [folder / "arm.c"], folder, flags).digest for board in targets.CORTEX}
     return found
 
 
-def nothing(board, real, optimise):
-    """The image with a function that does nothing: what the bench itself weighs."""
-    (WORK / "empty.h").write_text("int empty(const float *q, float *out);\n".replace("float", real))
+def nothing(board, real):
+    """Return the image with a function that does nothing."""
+    (WORK / "empty.h").write_text(f"int empty(const {real} *q, {real} *out);\n")
     (WORK / "empty.c").write_text(
         f'#include "empty.h"\nint empty(const {real} *q, {real} *out) {{ out[0] = q[0]; return 0; }}\n'
     )
-    flags = targets.defines(real, "empty", 6, 10, header="empty.h")
-    return targets.cortex(board, [WORK / "empty.c"], WORK, flags, optimise=optimise)
-
-
-CALLS = (("network", "arm_network", 3, network), ("command", "arm_correct", 6, correct))
-
-
-def export_all(count):
-    """The four exports; each is compiled and compared in the call that writes it."""
-    section(f"C against its NumPy reference, bits, {count} vectors a function, in the call that writes it")
-    folders = {}
-    for kind, product in PRODUCTS.items():
-        for real in REALS:
-            folder = WORK / f"{kind}_{real}"
-            export = write_c(product, folder, name="arm", real=real, vectors=count)
-            folders[kind, real] = folder
-            for compiler in dict.fromkeys(c.compiler for c in export.comparisons):
-                mine = [c for c in export.comparisons if c.compiler == compiler]
-                total, wrong = sum(c.outputs for c in mine), sum(c.different for c in mine)
-                line(
-                    f"{kind} {real}, {'clang' if 'clang' in compiler else 'gcc'}",
-                    f"{total} outputs, {wrong} differ",
-                    "0",
-                )
-            line(f"{kind} {real}, figures of the model", str(export.figures))
-    return folders
-
-
-def processors(folders, count):
-    section(f"the same bits on other processors, {count} vectors, one hash (status and outputs)")
-    for kind, call, outputs, compute in CALLS:
-        for real in REALS:
-            program = tape_program(PRODUCTS[kind], real)
-            wanted = targets.digest(*compute(program, targets.bench_inputs(real, count)))
-            flags = targets.defines(real, call, outputs, count)
-            found = {"NumPy": wanted} | host_and_foreign(folders[kind, real], flags)
-            for board in targets.CORTEX:
-                if not lacking("arm-none-eabi-gcc", "qemu-system-arm"):
-                    folder = folders[kind, real]
-                    found[board] = targets.cortex(board, [folder / "arm.c"], folder, flags).digest
-            same = [name for name, digest in found.items() if digest == wanted]
-            other = {name: digest for name, digest in found.items() if digest != wanted}
-            line(f"{kind} {real}", f"{wanted} on {', '.join(same)}" + (f"; OTHERS {other}" if other else ""), "all")
-
-
-def cortex_m(folders):
-    section("Cortex-M under QEMU: instructions a call (least to most, jitter), gcc -O2 and -Os, whole image's size")
-    if reason := lacking("arm-none-eabi-gcc", "qemu-system-arm"):
-        line("Cortex-M", reason)
-        return
-    empty = {}
-    cases = [
-        ("network", "M4F", "float"),
-        ("network", "M7", "double"),
-        ("command", "M4F", "float"),
-        ("command", "M7", "double"),
-    ]
-    for kind, board, real in cases:
-        call, outputs = ("arm_network", 3) if kind == "network" else ("arm_correct", 6)
-        target = (
-            "650, 0 %, 1.6 kB, 0 B" if (kind, board) == ("network", "M4F") else "5600, 2 %" if kind == "command" else ""
-        )
-        for optimise in ("-O2", "-Os"):
-            folder = folders[kind, real]
-            if (board, real, optimise) not in empty:
-                empty[board, real, optimise] = nothing(board, real, optimise)
-            base = empty[board, real, optimise]
-            it = targets.cortex(
-                board, [folder / "arm.c"], folder, targets.defines(real, call, outputs, 10), optimise=optimise
-            )
-            figure = f"{it.least:.0f} to {it.most:.0f}, {100 * it.jitter:.1f} %"
-            size = f"{it.text - base.text} B flash, {it.ram - base.ram} B RAM added"
-            line(f"{kind} {real}, {board} {optimise}", f"{figure}; {size}", target)
-
-
-SECTIONS = {
-    "processors": lambda folders, share: processors(folders, 20_000 // share),
-    "cortex": lambda folders, _: cortex_m(folders),
-}
+    return targets.cortex(board, [WORK / "empty.c"], WORK, targets.defines(real, "empty", 6, 10, header="empty.h"))
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "exports"], default=[*SECTIONS, "exports"])
-    parser.add_argument("--install", action="store_true")
-    options = parser.parse_args()
-    share = 100 if options.quick else 1
-    if options.install:
-        install()
     print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/c/export_models.py")
-    for compiler in compilers():
-        print(f"  {compiler.version}")
-    folders = export_all(200_000 // share if "exports" in options.only else 1000)
-    for name in options.only:
-        if name != "exports":
-            SECTIONS[name](folders, share)
-    shutil.rmtree(WORK)
+    print(*(f"  {compiler.version}" for compiler in compilers()), sep="\n")
+    print(f"\nthe same bits on other processors, {VECTORS} vectors, one hash (status and outputs)")
+    folders = {}
+    for kind, product, call, outputs, compute in CALLS:
+        for real in ("float", "double"):
+            folders[kind, real] = WORK / f"{kind}_{real}"
+            write_c(product, folders[kind, real], name="arm", real=real, vectors=1000)
+            wanted = targets.digest(*compute(tape_program(product, real), targets.bench_inputs(real, VECTORS)))
+            found = digests(folders[kind, real], targets.defines(real, call, outputs, VECTORS))
+            same = ", ".join(["NumPy", *(name for name, digest in found.items() if digest == wanted)])
+            others = {name: digest for name, digest in found.items() if digest != wanted}
+            print(f"  {kind} {real}: {wanted} on {same}" + (f"; OTHERS {others}" if others else ""), flush=True)
+    print("\nCortex-M under QEMU: instructions a call (least to most), gcc -O2; flash and RAM that it adds")
+    if targets.missing("arm-none-eabi-gcc", "qemu-system-arm"):
+        print("  not run")
+        return
+    for board, real in (("M4F", "float"), ("M7", "double")):
+        for kind, _, call, outputs, _ in CALLS:
+            folder, empty = folders[kind, real], nothing(board, real)
+            it = targets.cortex(board, [folder / "arm.c"], folder, targets.defines(real, call, outputs, 10))
+            size = f"{it.text - empty.text} B flash, {it.ram - empty.ram} B RAM"
+            print(f"  {kind} {real}, {board}: {it.least:.0f} to {it.most:.0f}; {size}", flush=True)
 
 
 if __name__ == "__main__":

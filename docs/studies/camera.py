@@ -1,6 +1,6 @@
 """Poses of a board in a camera: errors of the hand-eye transform, with frames alone and as calibrate finds it.
 
-    python docs/studies/camera.py [--runs 24] [--keep FILE --seconds 500] [--opencv] [--clocks | --corners]
+    python docs/studies/camera.py [--runs 24] [--keep FILE --seconds 500] [--corners]
 
 Simulated UR5e and iiwa 7 arms, eye in hand and eye to base, 15, 25 and 40 stations at which the target is in the
 image. Scenes: "right" arms have their nominal geometry, "off" ones are off by normal errors of 1 mm and 1 mrad in every
@@ -9,9 +9,7 @@ or that of pixels through a PnP fit ("pnp": 0.25 px, a board of 10 x 7 corners w
 12 % of the poses are wrong by decimetres. The hand-eye transform is compared with the true one in the nominal last row
 (the offset and zero of the last joint are not separable from it): X_g, in mm. Held out: the target's place in the
 camera at 200 other stations, without noise, rms in mm, after the fit's own target. "Chosen" frees the geometry as
-calibrate does, "equal weights" too, but as if it were not known that a camera measured. "Oracle" knows the noise and
-the size of the errors of the geometry, which nobody does: the best that any estimator can do. --opencv adds OpenCV's
-solvers, for eye in hand.
+calibrate does, "equal weights" too, but as if it were not known that a camera measured.
 """
 
 import argparse
@@ -31,11 +29,8 @@ from casadical.core.parts import Joint, Placement
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
-from casadical.identification.least_squares import LeastSquares
-from casadical.measurements.camera_noise import to_camera_axes
 from casadical.measurements.measurements import Measurements
 from casadical.project.calibration import calibrate
-from casadical.project.robot_columns import as_poses
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
 
@@ -191,43 +186,8 @@ def held_out_error(robot: Robot, held_out: Measurements, in_hand: bool) -> float
     return 1e3 * float(np.sqrt(((p - seen.position) ** 2).sum(axis=1).mean()))
 
 
-def oracle(start: Robot, m: Measurements, size: float, noise: Array) -> Robot:
-    """The robot that is fitted with the true weights, and a prior of the true width on its geometry.
-
-    start : nominal geometry with base and tool near to theirs; size, noise : as of SCENES
-    """
-    W = to_camera_axes(m.view) / noise[:, None]
-    names = start.parameters.select(["kinematic"] if size else ["placement"])
-    priors = {p.name: (p.value, 1e-3 * size) for p in start.parameters if p.group == "geometry" and size}
-    white = replace(m, extra={"whitening": W}, noise=None, camera="")
-    problem = LeastSquares(start, (white,), names, "linear", priors, ((1e-3, 1e-3),))
-    return start.with_values(problem.values(problem.solve().v))
-
-
-def by_opencv(robot: Robot, m: Measurements, in_hand: bool) -> dict[str, Array]:
-    """Solver -> hand-eye transform (4, 4) by OpenCV with the nominal arm."""
-    import cv2
-
-    arm_poses, seen = poses_of(robot, m.q), m.inverse() if in_hand else m
-    gripper = arm_poses if in_hand else np.linalg.inv(arm_poses)
-    assert seen.position is not None
-    assert seen.orientation is not None
-    found = {}
-    for solver in ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS"):
-        R, t = cv2.calibrateHandEye(
-            list(gripper[:, :3, :3]),
-            list(gripper[:, :3, 3]),
-            list(seen.orientation),
-            list(seen.position),
-            method=getattr(cv2, f"CALIB_HAND_EYE_{solver}"),
-        )
-        found[solver] = frame(np.asarray(R), np.asarray(t).ravel())
-    return found
-
-
-def judged(entry: tuple[str, str, bool, int, int, bool]) -> kept.Row:
-    """Errors [mm] of one scene; entry : scene, arm, whether in hand, stations, seed, whether OpenCV is asked."""
-    *what, opencv = entry
+def judged(what: tuple[str, str, bool, int, int]) -> kept.Row:
+    """Errors [mm] of one scene; what : scene, arm, whether in hand, stations, seed."""
     robot, fit, held_out, truth = scene(*what)
     row: kept.Row = {}
     unknown = replace(fit, camera="")
@@ -244,56 +204,7 @@ def judged(entry: tuple[str, str, bool, int, int, bool]) -> kept.Row:
         X = in_last_row(robot, found.robot, found.robot.tool.T)
         row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
         row[f"{name} held out"] = held_out_error(found.robot, held_out, what[2])
-    size, noise, outliers = SCENES[what[0]]
-    if not (isinstance(noise, float) or outliers):
-        frames = {p.name: p.value for p in found.robot.parameters if p.group in ("base", "tool")}
-        best = oracle(found.start.with_values(frames), fit, size, noise)
-        X = in_last_row(robot, best, best.tool.T)
-        row["oracle"] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
-        row["oracle held out"] = held_out_error(best, held_out, what[2])
-    if opencv and what[2]:
-        for name, X in by_opencv(robot, fit, True).items():
-            row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
     return row
-
-
-def clocks(runs: int, first: int) -> None:
-    """Print errors of X_g [mm] of moving arms whose images are 20 to 100 ms off their readings; half are right."""
-    found: dict[str, list[float]] = {"offset [ms]": [], "as read": [], "one clock": []}
-    while len(found["offset [ms]"]) < runs:
-        rng, first = np.random.default_rng([7, first]), first + 1
-        in_hand, robot = bool(first % 2), arm(list(ARMS)[first // 2 % 2])
-        size = 1e-3 * (first // 4 % 2)
-        built = robot.with_values(
-            {p.name: p.value + size * rng.normal() for p in robot.parameters if p.group == "geometry"}
-        )
-        X = frame(
-            Rotation.from_rotvec(rng.normal(0, 0.2, 3)).as_matrix(), np.array([*rng.uniform(-0.07, 0.07, 2), 0.06])
-        )
-        q, T = stations(built, X, in_hand, 1, rng)
-        t, late = np.arange(0, 20, 1 / 15), rng.uniform(0.02, 0.1) * rng.choice([-1, 1])
-        speed, phase = 2 * np.pi / rng.uniform(4, 9, robot.n), rng.uniform(0, 6, robot.n)
-        size_of = np.append(np.full(robot.n - 1, 0.25), 1.0)
-        q0, low, high = np.clip(q[0], -1.8, 1.8), *robot.limits
-
-        read, imaged = (q0 + size_of * np.sin(np.outer(x, speed) + phase) for x in (t, t + late))
-        carried = poses_of(replace(built, tool=replace(built.tool, T=X)), np.vstack([q, imaged]))
-        stands = carried[0] @ T[0] if in_hand else carried[0] @ np.linalg.inv(T[0])
-        seen = np.linalg.inv(carried[1:]) @ stands if in_hand else np.linalg.inv(stands) @ carried[1:]
-        e = 1e-3 * np.array([1, 1, 3, 2, 2, 0.7]) * rng.normal(size=(len(t), 6))
-        seen[:, :3, :3] = Rotation.from_rotvec(e[:, 3:]).as_matrix() @ seen[:, :3, :3]
-        seen[:, :3, 3] += e[:, :3]
-        given = Measurements(
-            read, "pose", position=seen[:, :3, 3], orientation=seen[:, :3, :3], conditions={"time_s": t}
-        )
-        m = as_poses(given, robot, in_hand, "in hand" if in_hand else "to base")
-        truth = in_last_row(robot, built, X)
-        for name, q in (("as read", given.q), ("one clock", m.q)):
-            one = identify(robot, replace(m, q=np.clip(q, low, high)), ["kinematic"]).robot
-            found[name].append(1e3 * float(np.linalg.norm(in_last_row(robot, one, one.tool.T)[:3, 3] - truth[:3, 3])))
-        found["offset [ms]"].append(1e3 * abs(m.clock_offset - late))
-    for name, e in found.items():
-        print(f"d clocks, {runs} runs: {name:12s} {np.median(e):.3f} / {np.quantile(e, 0.95):.3f}")
 
 
 def corners(runs: int) -> None:
@@ -345,15 +256,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--opencv", action="store_true")
     parser.add_argument("--scenes", default="abcefgh", help="first letters of their names")
-    parser.add_argument("--clocks", action="store_true", help="only moving arms with two clocks")
     parser.add_argument("--corners", action="store_true", help="only corners in images, focal length wrong by 0.6 %%")
     kept.add_options(parser, "camera")
     given = parser.parse_args()
-    if given.clocks:
-        clocks(given.runs, given.seed)
-        return
     if given.corners:
         corners(given.runs)
         return
@@ -362,9 +268,7 @@ def main() -> None:
         for run in range(given.runs)
         for name in SCENES
         if name[0] in given.scenes
-        for entry in [
-            (name, list(ARMS)[run % 2], run // 2 % 2 == 0, (15, 25, 40)[run % 3], given.seed + run, given.opencv)
-        ]
+        for entry in [(name, list(ARMS)[run % 2], run // 2 % 2 == 0, (15, 25, 40)[run % 3], given.seed + run)]
     ]
     rows = kept.rows_of(todo, judged, given)
     print(f"{'scene':20s}{'runs':>5s}  X_g median / 95 % [mm]; held out in brackets")

@@ -1,22 +1,20 @@
-"""nice python docs/studies/effects_and_physics.py [POSES] > docs/studies/effects_and_physics.txt
+"""Each effect and its counterpart in the engine of the blind check, MuJoCo, which shares no formula with it.
 
-Each effect beside its counterpart in the engine of the blind check, MuJoCo, which shares no formula with it: the same
-parameters, computed here from what the counterpart's docstring says, nothing is fitted. What is compared is how far
-they move the tool at 200 poses of three robots, each against its own simulation without the effect.
-
-The column `apart` is |effect - counterpart| / |counterpart| over all poses and coordinates. Most counterparts are the
-same physics and agree to second order. Some are built otherwise on purpose (a skewed wave, hinges in place of a beam,
-another law of a spring): their limit is wider, and says by how much a right formula may differ from them.
+They have the same parameters, computed in pairs_of_effects.py from the counterpart's docstring; nothing is fitted. The
+tests compare how far both move the tool at poses of three robots, each against its own simulation without the effect:
+|effect - counterpart| / |counterpart| over all poses and coordinates (tests/effects/test_effects_against_physics.py).
+Most counterparts are the same physics and agree to second order. Some are built otherwise on purpose (a skewed wave,
+hinges in place of a beam, another law of a spring): their limit is wider, and says by how much a right formula may
+differ from them.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import pairs_of_effects as pairs
-from counterpart_pairs import ROBOTS, Bench, Pair, bench
+from counterpart_pairs import ROBOTS, Bench, Pair
 
 
 @dataclass(frozen=True)
@@ -74,23 +72,3 @@ CASES = (
     Case("frame_settling", pairs.settling_frame),
     Case("smr_offset", pairs.reflector),
 )
-
-
-def main() -> None:
-    poses = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    benches = {name: bench(name, poses) for name in ROBOTS}
-    rows, within = [], 0
-    for case in CASES:
-        found = {name: case.make(benches[name]).apart() for name in case.robots}
-        within += all(apart <= case.limit for apart, _ in found.values())
-        apart = "".join(f"{found[name][0]:9.5f}" if name in found else 8 * " " + "-" for name in ROBOTS)
-        moved = "".join(f"{1e3 * found[name][1]:8.3f}" if name in found else 7 * " " + "-" for name in ROBOTS)
-        rows.append(f"{case.name:26s}{apart}  {case.limit:6.3f} {moved}  {case.why}".rstrip())
-    print(f"{within} of {len(rows)} counterparts agree with their effects at {poses} poses of {', '.join(ROBOTS)}")
-    print()
-    print(f"{'effect':26s}{'apart':>9s}{'':18s}   limit  greatest motion [mm]    wider because")
-    print("\n".join(rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,51 +1,33 @@
-"""OMP_NUM_THREADS=1 python docs/studies/pose_selection.py [PART...] > docs/studies/pose_selection.txt
+"""OMP_NUM_THREADS=1 python docs/studies/pose_selection.py [hh800 kr210 ur10e] > docs/studies/pose_selection.txt
 
-Parts: errors, formula, campaigns (all of them), and robots: hh800, kr210, ur10e (all of them).
-
-Chosen poses against random ones, for three robots and 30, 50, 100 poses: the held-out error over simulated campaigns,
-the standard errors predicted and realised, and what no choice of poses could better. Campaigns come from the
-independent simulator: robots that depart from the drawing in every link, 0.02 mm of noise a coordinate, 8 urad a
-joint; held-out errors are against the truth.
+Chosen poses against random ones: the held-out error over simulated campaigns of three robots with 30, 50 and 100
+poses. Campaigns come from the independent simulator: robots that depart from the drawing in every link, 0.02 mm of
+noise a coordinate, 8 urad a joint; held-out errors are against the truth.
 """
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from campaign_robots import plant_of
-from scipy.stats import chi2
 
 from casadical import identify, read_robot
 from casadical.blind_check.mujoco_physics import campaign, perturb
-from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.measurements.reading import from_table
 from casadical.pose_selection import Noise, Workspace
-from casadical.pose_selection.candidates import draw, expected, noise_covariance, scaled_jacobian
-from casadical.pose_selection.experimental_design import inverse
+from casadical.pose_selection.candidates import draw
 from casadical.pose_selection.pose_search import select_poses
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"
 ROBOTS = {"hh800": "campaign.robot.toml", "kr210": "robot.toml", "ur10e": "robot.toml"}
 SIZES = (30, 50, 100)
-HELD_OUT, CAMPAIGNS, REPETITIONS = 200, 100, 100
-ROUNDS, STEPS = (0.3, 0.1, 0.05, 0.03, 0.02), 300
+HELD_OUT, CAMPAIGNS = 200, 100
 SIGMA, REPEATABILITY = 2e-5, 8e-6
 NOISE = Noise(SIGMA, REPEATABILITY)
 XYZ, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
-ERRORS_HEAD = f"""
-Predicted and realised standard errors, 50 poses, {REPETITIONS} campaigns of one real robot.
-The range of realised/predicted over parameters is to be within what chance alone leaves (95 %).
-
-robot   parameters: number, rms, range, by chance, within;  task error [mm] predicted, realised, ratio"""
-FORMULA_HEAD = """
-Expected rms error [mm] over the task, by formula: mean of 50 random sets of poses, V, and what no choice of so many
-poses could better; 'less': what V gains on random poses; 'at most': what any choice could gain.
-
-robot     n  random  V        less   bound   at most"""
 CAMPAIGNS_HEAD = f"""
 Held-out rms error [mm], {CAMPAIGNS} real robots, each measured once at random and at chosen poses.
 'less': what V gains, with its standard error; 'mean': the same of the mean error; 'wins': campaigns in
@@ -80,65 +62,6 @@ def held_out(robot, plant, q, seed):
     return np.sqrt(np.mean(error**2)), error.mean()
 
 
-def rows(robot, names, q):
-    """Jacobians in units of sigma, shape (n, 3, p)."""
-    m = expected(robot, q, {}, "pool")
-    return whitening_of(noise_covariance(robot, m, NOISE)) @ scaled_jacobian(robot, names, m)
-
-
-def least_variance(robot, names, task):
-    """Lower bound [mm^2] on n times the expected square error of any n poses: the best weights that poses could have.
-
-    Multiplicative algorithm for trace(W C), which is convex in the weights, so that its tangent bounds it from below
-    (Atkinson, Donev and Tobias 2007, chapters 9 and 10); in rounds, with new poses near those of weight and all over.
-    It holds for least squares with and without weights (Gauss and Markov), as far as the last round's poses are dense.
-    """
-    rng = np.random.default_rng(5)
-    lower, upper = Workspace().ranges(robot)
-    T = scaled_jacobian(robot, names, task)
-    W = np.einsum("kip,kiq->pq", T, T) / len(T)
-
-    def allowed(q):
-        q = np.clip(q, lower, upper)
-        return q[Workspace().allows(robot, q)]
-
-    q = allowed(rng.uniform(lower, upper, (4000, robot.n)))
-    A, w = rows(robot, names, q), np.full(len(q), 1 / len(q))
-    for size in ROUNDS:
-        for _ in range(STEPS):
-            C = inverse(np.einsum("k,kip,kiq->pq", w, A, A, optimize=True))
-            slope = np.einsum("kip,pq,kiq->k", A, C @ W @ C, A, optimize=True)
-            w *= np.sqrt(slope)
-            w /= w.sum()
-        value, kept = np.sum(W * C), w > 1e-6
-        some = rng.random((4000, robot.n)) < 0.5
-        near = q[rng.choice(len(q), 4000, p=w)] + size * (upper - lower) * rng.normal(size=some.shape) * some
-        new = np.concatenate([allowed(near), allowed(rng.uniform(lower, upper, (4000, robot.n)))])
-        B = rows(robot, names, new)
-        further = np.einsum("kip,pq,kiq->k", B, C @ W @ C, B, optimize=True)
-        bound = 2 * value - max(slope.max(), further.max())
-        best = np.argsort(further)[-1500:]
-        q, A = np.concatenate([q[kept], new[best]]), np.concatenate([A[kept], B[best]])
-        w = np.concatenate([0.9 * w[kept], np.full(len(best), 0.1 / len(best))])
-        w /= w.sum()
-    return bound
-
-
-def by_formula(name, robot, _plant):
-    bound = None
-    for n in SIZES:
-        chosen = select_poses(robot, None, n, noise=NOISE)
-        bound = bound or least_variance(robot, chosen.names, chosen.task)
-        least = 1e-3 * np.sqrt(bound / n)
-        rng = np.random.default_rng(4)
-        random = np.mean([accuracy_of(chosen, draw(robot, n, Workspace(), rng)) for _ in range(50)])
-        print(
-            f"{name:6s} {n:4d}  {1e3 * random:.4f}  {1e3 * chosen.accuracy:.4f} {1 - chosen.accuracy / random:6.1%}  "
-            f"{1e3 * least:.4f}   {1 - least / random:6.1%}",
-            flush=True,
-        )
-
-
 def campaigns(name, robot, plant):
     for n in SIZES:
         chosen = select_poses(robot, None, n, noise=NOISE)
@@ -167,61 +90,13 @@ def compare(robot, plant, q, room):
     return errors, wins
 
 
-def accuracy_of(selection, q):
-    """Expected error [m] of other readings than the chosen ones."""
-    return replace(selection, m=expected(selection.robot, q, {}, "random")).accuracy
-
-
-def by_chance_alone(count):
-    """Range of realised over true standard errors that REPETITIONS campaigns give by chance: in 95 of 100 studies all
-    of so many parameters are within (a realised variance is a chi-square; Bonferroni, which asks no independence)."""
-    tail = 0.025 / count
-    return np.sqrt(chi2.ppf([tail, 1 - tail], REPETITIONS - 1) / (REPETITIONS - 1))
-
-
-def standard_errors(name, robot, plant):
-    """One real robot, measured REPETITIONS times at the same 50 poses."""
-    real = perturb(plant, 99)
-    chosen = select_poses(robot, None, 50, noise=NOISE)
-    results = [identify(robot, measured(real, chosen.q, k, robot.payload.mass)[0]) for k in range(REPETITIONS)]
-    # A base that leans a little lets gravity load joint 1, which the drawing does not know.
-    assert all(set(r.names) ^ set(chosen.names) <= {"c1"} for r in results)
-    # The base frame is placed again each time; its parameters count from there.
-    kept = [k for k, n in enumerate(chosen.names) if not n.startswith("base_")]
-    values = np.array([[r.robot.parameters[chosen.names[k]].value for k in kept] for r in results])
-    ratio = values.std(axis=0, ddof=1) / chosen.standard_errors[kept]
-    test = draw(robot, 300, Workspace(), np.random.default_rng(9))
-    points = np.array([r.predict(test)[0] for r in results])
-    realised = np.sqrt(points.var(axis=0, ddof=1).sum(axis=1).mean())
-    m = expected(robot, test, {}, "test")
-    predicted = np.sqrt(np.mean(chosen.expected_error(m) ** 2))
-    low, high = by_chance_alone(len(kept))
-    within = "yes" if low < ratio.min() and ratio.max() < high else "NO"
-    print(
-        f"{name:6s}  {len(kept)}  {np.sqrt(np.mean(ratio**2)):.3f}  {ratio.min():.3f}-{ratio.max():.3f}  "
-        f"{low:.3f}-{high:.3f} {within:3s}  "
-        f"{1e3 * predicted:.4f} {1e3 * realised:.4f} {realised / predicted:.3f}",
-        flush=True,
-    )
-
-
 def main() -> None:
-    asked = sys.argv[1:]
-    robots = {name: read_robot(PROBLEMS / name / file) for name, file in ROBOTS.items()}
-    robots = {name: robots[name] for name in [n for n in ROBOTS if n in asked] or ROBOTS}
-    parts = [part for part in PARTS if part in asked] or list(PARTS)
-    for part in parts:
-        head, measure = PARTS[part]
-        print(head)
-        for name, robot in robots.items():
-            measure(name, robot, plant_of(robot))
+    asked = [name for name in ROBOTS if name in sys.argv[1:]] or list(ROBOTS)
+    print(CAMPAIGNS_HEAD)
+    for name in asked:
+        robot = read_robot(PROBLEMS / name / ROBOTS[name])
+        campaigns(name, robot, plant_of(robot))
 
-
-PARTS = {
-    "errors": (ERRORS_HEAD, standard_errors),
-    "formula": (FORMULA_HEAD, by_formula),
-    "campaigns": (CAMPAIGNS_HEAD, campaigns),
-}
 
 if __name__ == "__main__":
     main()

@@ -26,7 +26,6 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    (folder / "printed.txt").write_text(done.stdout)
     return folder
 
 
@@ -35,22 +34,6 @@ def test_report_is_the_golden_text() -> None:
     assert (done.returncode, done.stderr) == (0, "")
     printed = "".join(line.rstrip() + "\n" for line in done.stdout.splitlines())
     assert printed == (Path(__file__).parent / "planar.txt").read_text()
-
-
-def test_report_fits_eighty_columns_and_cuts_nothing(kept: Path) -> None:
-    for line in (kept / "printed.txt").read_text().splitlines():
-        if not line.startswith("wrote "):
-            assert len(line) <= 80
-            assert "…" not in line
-
-
-def test_the_answer_comes_first_in_thirty_lines() -> None:
-    done = run("calibrate", "problems/planar", "problems/panda_3")
-    assert (done.returncode, done.stderr) == (0, "")
-    lines = done.stdout.splitlines()
-    assert len(lines) <= 30
-    assert all(len(line) <= 80 for line in lines)
-    assert "mean position error falls from 1.696 mm to" in lines[1]
 
 
 def test_every_command_answers_in_25_lines_of_80_columns_and_has_details(tmp_path: Path) -> None:

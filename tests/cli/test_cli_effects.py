@@ -116,15 +116,6 @@ def test_columns_that_an_effect_follows_must_be_there(tmp_path, monkeypatch, cap
     assert "temperature_degC" in said
 
 
-@pytest.mark.slow
-def test_plan_takes_it_and_frees_what_it_is_asked_for(kept, tmp_path, monkeypatch, capfd):
-    wanted = ["-n", 12, "--out", tmp_path / "plan.csv", "--no-order"]
-    assert main(monkeypatch, "plan", kept, *wanted) == 0
-    assert "friction_windup" not in words(capfd)
-    assert main(monkeypatch, "plan", kept, *wanted, "--for", "friction_windup@3", "--details") == 0
-    assert "friction_windup@3.constant" in words(capfd)
-
-
 def test_correct_refuses_what_a_controller_cannot_follow(kept, tmp_path, monkeypatch, capfd):
     program, out = tmp_path / "program.csv", tmp_path / "corrected.csv"
     program.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n5,-80,80,-60,-80,10\n")
@@ -137,17 +128,3 @@ def test_correct_refuses_what_a_controller_cannot_follow(kept, tmp_path, monkeyp
     assert main(monkeypatch, *given, "--leave-out") == 0
     assert "LEFT OUT friction_windup@3" in words(capfd)
     assert out.exists()
-
-
-@pytest.mark.slow
-def test_c_carries_what_joints_and_payload_decide(kept, tmp_path, monkeypatch, capfd):
-    given = ["export", "c", kept.with_name("more.toml"), "--nominal", PROBLEM / "robot.toml", "--out", tmp_path / "c"]
-    assert main(monkeypatch, *given) == 2
-    said = words(capfd)
-    assert "cannot hold 1 of its effects" in said
-    assert "friction_windup@3" in said
-    assert "gear_eccentricity@5" not in said
-    assert not (tmp_path / "c").exists()
-    assert main(monkeypatch, *given, "--leave-out") == 0
-    assert "LEFT OUT friction_windup@3" in words(capfd)
-    assert (tmp_path / "c" / "manifest.json").exists()

@@ -1,9 +1,6 @@
 """All commands behave alike: the same flags in the same words, completion that works, progress only on a terminal."""
 
-import os
-import pty
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -18,7 +15,7 @@ from rich.console import Console
 
 from casadical.cli import app, terminal
 from casadical.cli import options as o
-from casadical.cli.terminal import CHECK, DIAGNOSIS, PLAN, share
+from casadical.cli.terminal import DIAGNOSIS, PLAN, share
 
 BIN = Path(sys.executable).parent
 
@@ -77,67 +74,6 @@ def test_words_are_completed(complete: Callable[[str], list[str]], begun: str, o
 
 
 @pytest.mark.slow
-def test_bash_completes_commands_and_options(tmp_path: Path) -> None:
-    """What bash, a real one, offers after these words."""
-    if shutil.which("bash") is None:
-        pytest.skip("no bash here")
-    command = [BIN / "casadical", "--show-completion", "bash"]
-    script = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    for words, offered in (("casadical che", "check"), ("casadical calibrate --me", "--method")):
-        lines = [
-            f"PATH={BIN}:$PATH",
-            script,
-            f"COMP_WORDS=({words})",
-            f"COMP_CWORD={len(words.split()) - 1}",
-            "_casadical_completion casadical",
-            'printf "%s\\n" "${COMPREPLY[@]}"',
-        ]
-        bash = ["bash", "--norc", "-c", "\n".join(lines)]
-        done = subprocess.run(bash, capture_output=True, text=True, cwd=tmp_path, check=True)
-        assert done.stderr == ""
-        assert offered in done.stdout.split()
-
-
-def on_terminal(*arguments: str | Path, output: str = "", **more: str) -> tuple[str, str]:
-    """Standard output, and what a terminal on standard error shows, or on both; more : of the environment."""
-    main, side = pty.openpty()
-    environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI")} | {"TERM": "xterm", **more}
-    with subprocess.Popen(
-        [BIN / "casadical", *arguments],
-        cwd=ROOT,
-        env=environment,
-        stdout=side if output else subprocess.PIPE,
-        stderr=side,
-    ) as process:
-        os.close(side)
-        shown = b""
-        while True:
-            try:
-                part = os.read(main, 4096)
-            except OSError:  # the other end is closed
-                break
-            if not part:
-                break
-            shown += part
-        out = process.stdout.read().decode() if process.stdout else ""
-    os.close(main)
-    return out, shown.decode()
-
-
-@pytest.mark.slow
-def test_progress_is_shown_on_a_terminal_and_nowhere_else() -> None:
-    out, shown = on_terminal("calibrate", "problems/planar")
-    assert "planar: part 1 of 1: KM iteration" in re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown)
-    assert "iteration" not in out
-    done = subprocess.run(
-        [BIN / "casadical", "calibrate", "problems/planar"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert done.stderr == ""
-    assert "iteration" not in done.stdout
-    assert on_terminal("calibrate", "problems/planar", "--quiet") == ("", "")
-
-
-@pytest.mark.slow
 def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
     """As `| head -1` does."""
     command = [BIN / "casadical", "calibrate", "problems/planar", "--details", "--out", tmp_path / "out"]
@@ -164,11 +100,6 @@ def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
 )
 def test_the_bar_of_a_diagnosis_stands_where_the_step_begins(text: str, done: float) -> None:
     assert share(text, DIAGNOSIS) == pytest.approx(done)
-
-
-@pytest.mark.parametrize("steps", [DIAGNOSIS, CHECK, PLAN])
-def test_a_step_begins_within_the_work(steps: terminal.Steps) -> None:
-    assert all(0 <= begun < 1 for begun in steps.values())
 
 
 def test_the_bar_on_a_terminal_shows_step_and_share(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,44 +14,6 @@ sys.path.insert(0, str(ROOT / "docs" / "studies"))
 
 import architecture
 from imports_of_package import House
-from parameter_walk import Walk
-
-CALLS = {
-    "__init__.py": "",
-    "low/__init__.py": "",
-    "low/a.py": """
-class Kept:
-    def __init__(self, robot): ...
-    def moved(self): return 1
-def turned(arm): return arm
-def checked(arm, kept: Kept): return kept.moved()
-""",
-    "high.py": """
-from toy.low.a import Kept, checked, turned
-def ask(robot, free):
-    turn = turned(robot.base)
-    kept = Kept(turn)
-    checked(turn, kept)
-    own(arm=robot)
-    return later(kept, free)
-def own(arm): return arm.values
-def later(kept, free): return turned(kept)
-""",
-}
-
-
-def toy(folder: Path, files: dict[str, str]) -> House:
-    for name, text in files.items():
-        path = folder / "toy" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
-    return House(folder / "toy")
-
-
-def test_a_parameter_is_followed_until_it_is_put_into_an_object(tmp_path: Path) -> None:
-    way = Walk(toy(tmp_path, CALLS)).follow("high", "ask", "robot")
-    assert way.entries == ["high", "low.a", "low.a", "high"]  # ask, turned, checked, own
-    assert (way.stations, way.climbs) == (3, 1)
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,6 @@
 
 import json
 import re
-from pathlib import Path
-from urllib.parse import unquote
 
 import command_line
 import pytest
@@ -22,39 +20,8 @@ def test_the_documented_command_builds_without_a_warning(site) -> None:
     assert "python -m sphinx -W --keep-going -b html docs build/docs" in (ROOT / "docs" / "README.md").read_text()
 
 
-def test_every_internal_link_and_anchor_leads_somewhere(site) -> None:
-    known = site.pages
-    broken, checked = [], 0
-    for path, page in known.items():
-        for link in page.links + page.loaded:
-            if external(link):
-                continue
-            checked += 1
-            target, _, anchor = unquote(link).partition("#")
-            where = (path.parent / target.partition("?")[0]).resolve() if target else path
-            if where.is_dir():
-                where /= "index.html"
-            if not where.exists() or (anchor and where in known and anchor not in known[where].anchors):
-                broken.append(f"{path.relative_to(site.folder)}: {link}")
-    assert broken == []
-    assert checked > 1000
-
-
 def test_no_page_loads_anything_from_a_network(site) -> None:
     assert [f"{path.name}: {link}" for path, page in site.pages.items() for link in page.loaded if external(link)] == []
-
-
-def test_every_page_is_reached_from_the_index(site) -> None:
-    known = site.pages
-    seen, todo = set(), [site.folder / "index.html"]
-    while todo:
-        path = todo.pop()
-        if path in seen or path not in known:
-            continue
-        seen.add(path)
-        links = [link.partition("#")[0] for link in known[path].links if not external(link)]
-        todo += [(path.parent / unquote(link)).resolve() for link in links if link]
-    assert {path.stem for path in map(Path, (ROOT / "docs").glob("*.md"))} - {"README"} <= {path.stem for path in seen}
 
 
 def test_every_tutorial_is_a_notebook_that_runs_where_the_repository_is(site) -> None:

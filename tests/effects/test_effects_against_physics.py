@@ -1,7 +1,6 @@
 """Effects move the tool as their counterparts in the engine MuJoCo do, which share no formula with them.
 
-The pairs, with what each parameter means in both worlds, are those of docs/studies/effects_and_physics.py; here they
-stand at 16 poses, there at 200.
+The pairs, with what each parameter means in both worlds, are those of docs/studies/effects_and_physics.py.
 """
 
 import sys
@@ -17,13 +16,14 @@ from casadical.effects import registry
 pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
 
+import counterpart_pairs
 import effects_and_physics as study
 from pairs_of_effects import tendon
 
 CASES = {case.name: case for case in study.CASES}
 # On one robot, one of each place in the engine: motors, springs, mechanism, settings, measurement.
 FAST = ("gear_eccentricity", "friction_windup", "payload_error", "axis_wobble", "refraction")
-bench = cache(study.bench)
+bench = cache(counterpart_pairs.bench)
 
 
 @cache

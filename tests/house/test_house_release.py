@@ -86,12 +86,6 @@ def test_citation_and_changelog_have_the_version() -> None:
     assert f"\n## {release} " in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("name", "given"), [("CITATION.cff", "\nrepository-code: "), (".github/SECURITY.md", "@")])
-def test_what_only_the_owner_knows_is_given_or_has_its_place(name: str, given: str) -> None:
-    text = (ROOT / name).read_text(encoding="utf-8")
-    assert given in text or "filled in by the owner" in text
-
-
 def requirements() -> dict[str, tuple[tuple[int, ...], tuple[int, ...]]]:
     """Every dependency of base and extras that users install -> the least version, and the first that is refused."""
     lines = [*PROJECT["dependencies"], *(r for e in REPORTED for r in PROJECT["optional-dependencies"][e])]
