@@ -10,7 +10,7 @@ hypothesis, so that a cause is not taken for noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -78,7 +78,7 @@ class Rows:
     sigma : typical standard deviation of the noise
     fold : number of each row's run, or of its third of a single run, shape (rows,)
     rate : rows per second
-    H : columns of causes, shape (rows, m); columns : their indices, rising
+    H : columns of causes in single precision, shape (rows, m); columns : their indices, rising
     """
 
     kind: str
@@ -233,7 +233,7 @@ class LogProblem:
             for r, s2 in zip(self.rows, fit.variance, strict=True):
                 low, high = np.searchsorted(r.columns, [group[0], group[-1] + 1])
                 if high > low:
-                    at, H = r.columns[low:high] - group[0], r.H[:, low:high]
+                    at, H = r.columns[low:high] - group[0], r.H[:, low:high].astype(float)
                     S[np.ix_(at, at)] += r.share * H.T @ H / s2
             values, vectors = np.linalg.eigh(S)
             values, b = np.maximum(values, 0.0), vectors.T @ right[group]
@@ -403,12 +403,12 @@ def next_cause(problem: LogProblem, ranking: Ranking) -> Found:
     )
 
 
-def smooth_functions(view: LogView, rows: Iterable[Rows], variance: Array) -> list[tuple[Candidate, list[Signals]]]:
-    """Return candidates for causes on no list: smooth functions of one variable for some rows.
+def smooth_functions(view: LogView, rows: Iterable[Rows], variance: Array) -> Iterator[tuple[Candidate, list[Signals]]]:
+    """Yield candidates for causes on no list: smooth functions of one variable for some rows.
 
     variance : noise variance of each of the groups of rows
     """
-    m, out = view.motion, []
+    m = view.motion
     for r, s2 in zip(rows, variance, strict=True):
         j, v = r.joint, m.v[:, r.joint]
         drivers = {name: m.q[:, j] for name in BUMPS_OF if name.startswith("angle")}
@@ -423,19 +423,21 @@ def smooth_functions(view: LogView, rows: Iterable[Rows], variance: Array) -> li
             width = centres[1] - centres[0]
             label = f"smooth {r.kind} of joint {j + 1} by {name}"
             bumps: list[Signals] = [{(r.kind, j): size * np.exp(-0.5 * ((values - c) / width) ** 2)} for c in centres]
-            out.append((Candidate(label, "unknown", None, ((),), listed=False), bumps))
-    return out
+            yield Candidate(label, "unknown", None, ((),), listed=False), bumps
 
 
-def with_candidates(problem: LogProblem, made: Sequence[tuple[Candidate, list[Signals]]]) -> LogProblem:
+def with_candidates(problem: LogProblem, made: Iterable[tuple[Candidate, list[Signals]]]) -> LogProblem:
     """Return the problem with candidates.
 
-    made : each variant of each candidate, with the columns of its parameters at all samples
+    made : variants of candidates, with the columns of their parameters at all samples, if any
     """
     candidates: dict[str, Candidate] = {}
     variants, groups, width = [], [], 0
-    columns: dict[tuple[str, int], list[tuple[int, Array]]] = {(r.kind, r.joint): [] for r in problem.rows}
+    used: dict[tuple[str, int], Array] = {(r.kind, r.joint): r.used for r in problem.rows}
+    columns: dict[tuple[str, int], list[tuple[int, Array]]] = {key: [] for key in used}
     for candidate, signals in made:
+        if not signals:
+            continue
         merged = candidates.setdefault(candidate.label, replace(candidate, variants=()))
         variants.append((list(candidates).index(candidate.label), len(merged.variants)))
         candidates[candidate.label] = replace(merged, variants=(*merged.variants, *candidate.variants))
@@ -443,12 +445,12 @@ def with_candidates(problem: LogProblem, made: Sequence[tuple[Candidate, list[Si
         for signal in signals:
             for key, values in signal.items():
                 if key in columns:
-                    columns[key].append((width, values))
+                    columns[key].append((width, values[used[key]].astype(np.float32)))
             width += 1
     rows = []
     for r in problem.rows:
-        own = columns[r.kind, r.joint]
-        H = np.stack([v[r.used] for _, v in own], axis=1) if own else np.zeros((len(r.r), 0))
+        own = columns.pop((r.kind, r.joint))
+        H = np.stack([v for _, v in own], axis=1) if own else np.zeros((len(r.r), 0))
         rows.append(replace(r, H=H, columns=np.array([k for k, _ in own], dtype=np.int64)))
     return replace(
         problem, rows=tuple(rows), candidates=tuple(candidates.values()), variants=tuple(variants), groups=tuple(groups)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -42,13 +43,13 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
         log = replace(
             log, variables={**log.variables, "slip": np.sign(log.motion.v)}, frictions=_frictions(problem, log)
         )
-        made = [(candidate, signals_of(log, effect)) for candidate, effect in effects]
-        made += [*_plateaus(log), *smooth_functions(log, problem.rows, problem.fit.variance)]
-        return with_candidates(problem, [(c, signals) for c, signals in made if signals])
+        made = ((candidate, signals_of(log, effect)) for candidate, effect in effects)
+        smooth = smooth_functions(log, problem.rows, problem.fit.variance)
+        return with_candidates(problem, chain(made, _plateaus(log), smooth))
     problem, replay, x = servo_problem(views)
     torques = {"friction": np.exp(x[:, 2] - x[:, 0]), "drag": np.exp(x[:, 3] - x[:, 0]) * log.motion.v}
     log = replace(log, frictions={k: v / log.peak_torque + 0 * log.motion.q for k, v in torques.items()})
-    return with_candidates(problem, [*_simulated(replace(replay, view=log), x, effects, problem)])
+    return with_candidates(problem, _simulated(replace(replay, view=log), x, effects, problem))
 
 
 def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffect]]:
@@ -102,21 +103,11 @@ def _simulated(
 ) -> Iterator[tuple[Candidate, list[Signals]]]:
     """Yield each variant of each hypothesis with its columns by simulation."""
     view = replay.view
-    pairs = []  # signals of each cause while all joints slide one way, and the other
-    for _, cause in effects:
-        plus = signals_of(view, cause, 1.0)
-        pairs.append((plus, signals_of(view, cause, -1.0) if {"slip", "friction"} & {*cause.drivers} else plus))
+    made = ((c, signals_of(view, cause, 1.0), signals_of(view, cause, -1.0)) for c, cause in effects)
     torques = [replace(r, kind="torque") for r in problem.rows]
     scale = (0.5 * np.exp(x[:, 2] - x[:, 0]) / view.peak_torque) ** 2
-    rivals = smooth_functions(view, torques, scale)
-    for candidate, variants in zip(
-        (*(c for c, _ in effects), *(c for c, _ in rivals)),
-        simulated_columns(replay, x, [*pairs, *((s, s) for _, s in rivals)]),
-        strict=True,
-    ):
-        for columns in variants:
-            if columns:
-                yield candidate, columns
+    smooth = ((c, bumps, bumps) for c, bumps in smooth_functions(view, torques, scale))
+    yield from simulated_columns(replay, x, chain(made, smooth))
     kind = motion_effects()["saturation"]
     for j, column in saturation_columns(replay, x):
         effect = ((kind(j + 1),),)

@@ -6,13 +6,15 @@ the joint, or moves the limit of its dry friction where it reverses with the dir
 cause's position error changes the command.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
+from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, LogProblem, Rows
 from casadical.diagnosis.motion.response import simulated
 from casadical.diagnosis.motion.torque_rows import WARM_UP_TIME_S
@@ -55,7 +57,7 @@ START_FRICTION_FACTORS = (1.0, 3.0)  # frictions at the start of the base's fit 
 MAX_STEPS = 12  # largest number of Levenberg-Marquardt steps of the base's fit with one noise
 MIN_COST_DECREASE = 0.1  # decrease of the cost below which the fit ends
 COLUMN_SCALES = (0.3, 1.0)  # factors on a cause's typical size for its columns; of many parameters the last
-VARIANTS_PER_BATCH = 500  # number of variants that are simulated at once
+SAMPLES_PER_BATCH = 1_000_000  # number of samples of all variants that are simulated at once
 CAPACITY_SHARES = (0.5, 0.7, 0.85, 0.95)  # tried torque limits, divided by the largest torque
 
 
@@ -92,10 +94,12 @@ class Replay:
             [N m], and "position" error [rad], which is subtracted from the command
         capacity : largest position error that the servo acts on, shape (variants,) [rad]
         """
-        out = [
+        batch = max(1, SAMPLES_PER_BATCH // len(self.view.motion.q))
+        out = [np.zeros((len(self.view.motion.q), 0))]
+        out += [
             self._angles(joint[s], x[s], signals[s], None if capacity is None else capacity[s])
-            for k in range(0, len(x), VARIANTS_PER_BATCH)
-            for s in [slice(k, k + VARIANTS_PER_BATCH)]
+            for k in range(0, len(x), batch)
+            for s in [slice(k, k + batch)]
         ]
         return np.concatenate(out, axis=1)
 
@@ -303,36 +307,38 @@ def _linearised(replay: Replay, x: Array, mean: Array, covariance: Array, sigma:
 
 
 def simulated_columns(
-    replay: Replay, x: Array, causes: Sequence[tuple[Sequence[Signals], Sequence[Signals]]]
-) -> list[list[list[Signals]]]:
-    """Return the columns of causes: of each its variants, each with its parameters' columns.
+    replay: Replay, x: Array, causes: Iterable[tuple[Candidate, list[Signals], list[Signals]]]
+) -> Iterator[tuple[Candidate, list[Signals]]]:
+    """Yield each variant of each cause with its parameters' columns.
 
     x : the base's fit, shape (joints, PARAMETER_COUNT)
-    causes : signals of each parameter while all joints slide one way, and the other
+    causes : with signals of each parameter while all joints slide one way, and the other
     """
-    view, n = replay.view, len(x)
-    joints, signals, owners = list(range(n)), [Signals() for _ in range(n)], []
-    moves = np.ptp(view.motion.position, axis=0) > MIN_SPAN_RAD
-    # Causes of many parameters are about linear in them: one size is enough.
-    scales = [COLUMN_SCALES[-1 if len(plus) > 1 else 0 :] for plus, _ in causes]
-    for c, ways in enumerate(causes):
-        for p, (plus, minus) in enumerate(zip(*ways, strict=True)):
-            for j in sorted({j for _, j in plus if moves[j]}):
-                for scale in scales[c]:
-                    own = Signals()
-                    if ("position", j) in plus:
-                        own["position", j] = scale * plus["position", j]
-                    if ("torque", j) in plus:
-                        a, b = (scale * view.peak_torque[j] * s["torque", j] for s in (plus, minus))
+    peaks, n, causes = replay.view.peak_torque, len(x), iter(causes)
+    moves = np.ptp(replay.view.motion.position, axis=0) > MIN_SPAN_RAD
+    base = replay.angles(np.arange(n), x, [Signals()] * n)
+    while batch := [*islice(causes, 20)]:  # so few, as they are held in memory
+        joints, signals, owners = [], [], []
+        for candidate, plus, minus in batch:
+            # Causes of many parameters are about linear in them: one size is enough.
+            for scale in COLUMN_SCALES[-1 if len(plus) > 1 else 0 :]:
+                places = [(p, j) for p, s in enumerate(plus) for j in sorted({j for _, j in s if moves[j]})]
+                owners.append((candidate, scale, places))
+                for p, j in places:
+                    own, position = Signals(), plus[p].get(("position", j))
+                    if position is not None:
+                        own["position", j] = scale * position
+                    if ("torque", j) in plus[p]:
+                        a, b = (scale * peaks[j] * s[p]["torque", j] for s in (plus, minus))
                         own |= {("torque", j): (a + b) / 2, ("limit", j): (a - b) / 2}
                     joints.append(j)
                     signals.append(own)
-                    owners.append((c, p, j, scale))
-    q = replay.angles(np.array(joints), x[joints], signals)
-    out = [[[Signals() for _ in plus] for _ in own] for (plus, _), own in zip(causes, scales, strict=True)]
-    for k, (c, p, j, scale) in enumerate(owners):
-        out[c][scales[c].index(scale)][p]["position", j] = (q[:, n + k] - q[:, j]) / scale
-    return [[[s for s in variant if s] for variant in variants] for variants in out]
+        q = iter(replay.angles(np.array(joints, dtype=int), x[joints], signals).T)
+        for candidate, scale, places in owners:
+            columns: dict[int, Signals] = {}
+            for p, j in places:
+                columns.setdefault(p, Signals())["position", j] = (next(q) - base[:, j]) / scale
+            yield candidate, [*columns.values()]
 
 
 def saturation_columns(replay: Replay, x: Array) -> list[tuple[int, Signals]]:
