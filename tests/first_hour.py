@@ -2,6 +2,7 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -203,6 +204,13 @@ TABLES = {
     "researcher.txt": _researcher,
     "no_headings.csv": _no_headings,
 }
+
+
+def given(folder: Path, table: Any) -> dict[str, Path]:
+    """The arm's DH table and a table of poses, a text or a data frame, as files; arguments of `new_problem`."""
+    (folder / "dh.csv").write_text(DH)
+    (folder / "table.csv").write_text(table if isinstance(table, str) else table.to_csv(index=False))
+    return {"dh": folder / "dh.csv", "data": folder / "table.csv"}
 
 
 def write(folder: Path, name: str, q: np.ndarray, p: np.ndarray) -> Path:

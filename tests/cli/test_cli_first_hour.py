@@ -68,7 +68,6 @@ def test_the_hard_cases_are_calibrated_by_the_readmes_commands(given, tmp_path, 
 
 def test_what_was_understood_of_a_table_is_printed_as_a_table(tmp_path, monkeypatch, capfd):
     q, p = first_hour.measured(40)
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
     table = first_hour.write(tmp_path, "messung.csv", q, p)
     assert main(monkeypatch, "new", tmp_path / "arm", "--dh", tmp_path / "dh.csv", "--data", table, "--yes") == 0
     shown = capfd.readouterr().out

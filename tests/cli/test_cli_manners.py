@@ -15,7 +15,7 @@ from rich.console import Console
 
 from casadical.cli import app, terminal
 from casadical.cli import options as o
-from casadical.cli.terminal import DIAGNOSIS, PLAN, share
+from casadical.cli.terminal import CHECK, DIAGNOSIS, PLAN, share
 
 BIN = Path(sys.executable).parent
 
@@ -100,6 +100,11 @@ def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
 )
 def test_the_bar_of_a_diagnosis_stands_where_the_step_begins(text: str, done: float) -> None:
     assert share(text, DIAGNOSIS) == pytest.approx(done)
+
+
+@pytest.mark.parametrize("steps", [DIAGNOSIS, CHECK, PLAN])
+def test_a_step_begins_within_the_work(steps: terminal.Steps) -> None:
+    assert all(0 <= begun < 1 for begun in steps.values())
 
 
 def test_the_bar_on_a_terminal_shows_step_and_share(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,11 +219,6 @@ def _parquet() -> bytes:
         return Path(name, "a.parquet").read_bytes()
 
 
-_TOKEN = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?|\w+|\"[^\"\n]*\"|\s+|.", re.DOTALL)
-_OPEN, _CLOSE = "([{<", ")]}>"
-ODD = ("\x00", "\ufeff", "\u2028", "é", "\U0001f916", "\x85", "\r", "\t", "'", '"', "\\", "%s", "${x}", "\x1b[31m", "#")
-
-
 def fault_of(kind: Kind, place: Path, content: bytes) -> str:
     """What is wrong with a reader of a content; nothing if nothing is."""
     from casadical import CasadicalError

@@ -160,9 +160,7 @@ def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
     q, p = first_hour.measured(40)
     q, p = np.vstack([q, q]), np.vstack([p, p + np.array([0, 25.0, 0])])
     names = [f"A{k} [°]" for k in range(1, 7)] + [f"{c} [mm]" for c in "XYZ"]
-    (tmp_path / "moved.csv").write_text(first_hour.table(names, q, p))
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "moved.csv")
+    new_problem(tmp_path / "arm", **first_hour.given(tmp_path, first_hour.table(names, q, p)))
     found = precheck(tmp_path / "arm")
     assert found.targets
     assert not found.targets.turning
@@ -244,12 +242,7 @@ def later_table(path: Path, n: int = 60, *, zero: float = 0.0, named: bool = Fal
 def one_target(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same arm, calibrated with one reflector."""
     folder = tmp_path_factory.mktemp("one")
-    q, p = first_hour.measured(90)
-    (folder / "dh.csv").write_text(first_hour.DH)
-    (folder / "one.csv").write_text(
-        first_hour.table([f"A{k} [deg]" for k in range(1, 7)] + [f"{c} [mm]" for c in "XYZ"], q, p)
-    )
-    new_problem(folder / "arm", dh=folder / "dh.csv", data=folder / "one.csv")
+    new_problem(folder / "arm", **first_hour.given(folder, first_hour.table(HEADINGS, *first_hour.measured(90))))
     calibrate(folder / "arm").write(folder / "results")
     return folder / "arm"
 

@@ -189,9 +189,8 @@ def of_wires(folder: Path, q: np.ndarray, p: np.ndarray) -> Path:
     wires = np.array([[1500, 400, 200], [-900, 1400, 700], [200, -1600, 1100]])[np.arange(90) % 3]
     columns = {f"q{k}_deg": column for k, column in enumerate(q.T, 1)}
     length = np.linalg.norm(p - wires, axis=1) + np.random.default_rng(0).normal(0, 0.02, 90)
-    pd.DataFrame(columns | {"distance_mm": length, "anchor": [*"abc"] * 30}).to_csv(folder / "l.csv", index=False)
-    (folder / "dh.csv").write_text(first_hour.DH)
-    new_problem(folder / "arm", dh=folder / "dh.csv", data=folder / "l.csv")
+    table = pd.DataFrame(columns | {"distance_mm": length, "anchor": [*"abc"] * 30})
+    new_problem(folder / "arm", **first_hour.given(folder, table))
     return folder / "arm"
 
 

@@ -67,9 +67,7 @@ FORMS: dict[str, Callable[[Rotation], dict[str, np.ndarray]]] = {
 
 
 def folder_of(tmp_path: Path, data: pd.DataFrame, **more: object) -> Path:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    data.to_csv(tmp_path / "table.csv", index=False)
-    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", **more)  # type: ignore[arg-type]
+    new_problem(tmp_path / "arm", **first_hour.given(tmp_path, data), **more)  # type: ignore[arg-type]
     return tmp_path / "arm"
 
 

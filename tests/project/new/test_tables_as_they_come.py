@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import main
-from marks import slow
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
@@ -21,7 +20,7 @@ from casadical.project.check.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
-from casadical.project.problem import read_campaign, read_campaign_robot, read_problem
+from casadical.project.problem import read_campaign, read_campaign_robot
 
 ROWS = 30
 
@@ -110,22 +109,6 @@ FORMS: dict[str, Callable[[], str]] = {
 }
 
 
-@pytest.mark.parametrize("form", ["noap", "bare: 4x4", *slow("Motive, two lines")])
-def test_a_form_is_read_as_it_was_measured(form: str, tmp_path: Path) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    (tmp_path / "table.csv").write_text(FORMS[form]())
-    arm = tmp_path / "arm"
-    new_problem(
-        arm, dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", ask=lambda question: pytest.fail(question.text)
-    )
-    m = read_campaign(arm, arm / "poses.csv", read_problem(arm).robot)
-    np.testing.assert_allclose(np.rad2deg(m.q), Q, atol=1e-4)
-    assert m.position is not None
-    np.testing.assert_allclose(1e3 * m.position, P, atol=1e-3)
-    assert m.orientation is not None
-    np.testing.assert_allclose(m.orientation, R, atol=1e-5)
-
-
 # Two further targets on the flange [mm].
 OTHERS = [first_hour.measured(ROWS, tool=first_hour.TOOL + t, noise=0.0)[1] for t in ([80, 0, 0], [0, -50, 40])]
 THREE = [P, *OTHERS]
@@ -164,10 +147,8 @@ WIDE: dict[str, str] = {
 
 @pytest.mark.parametrize("form", WIDE)
 def test_targets_side_by_side_are_as_many_rows(form: str, tmp_path: Path) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    (tmp_path / "table.csv").write_text(WIDE[form])
     said: list[object] = []
-    problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", show=said.append)
+    problem = new_problem(tmp_path / "arm", **first_hour.given(tmp_path, WIDE[form]), show=said.append)
     count = 2 if form == "left.x" else 3
     assert len({problem.robot.tool_name, *(t.name for t in problem.robot.targets)}) == count
     assert f"{count} targets" in str(said[0])
@@ -185,9 +166,7 @@ def test_coordinates_of_two_frames_and_commanded_ones_are_no_targets(tmp_path: P
     base += np.random.default_rng(1).normal(0, 1.5, base.shape)
     columns = {**dict(zip(J, Q.T, strict=True)), **{f"Tracker {c}": v for c, v in zip("XYZ", P.T, strict=True)}}
     columns |= {f"Robot {c}": v for c, v in zip("XYZ", base.T, strict=True)}
-    pd.DataFrame(columns).to_csv(tmp_path / "table.csv", index=False)
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv")
+    problem = new_problem(tmp_path / "arm", **first_hour.given(tmp_path, pd.DataFrame(columns)))
     assert len(problem.whole[0]) == ROWS
     np.testing.assert_allclose(1e3 * problem.whole[0].position, P, atol=1e-3)
 
@@ -252,14 +231,13 @@ def test_files_without_a_column_in_common_and_of_other_lengths_are_refused(tmp_p
 
 
 def test_headings_may_be_given(tmp_path: Path, monkeypatch) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    (tmp_path / "table.csv").write_text(bare(P, Q))
+    files = first_hour.given(tmp_path, bare(P, Q))
     names = "x_mm,y_mm,z_mm,q6_deg,q2_deg,q3_deg,q4_deg,q5_deg,q1_deg"
-    given = ("--dh", tmp_path / "dh.csv", "--data", tmp_path / "table.csv", "--headings", names, "--yes", "-q")
+    given = ("--dh", files["dh"], "--data", files["data"], "--headings", names, "--yes", "-q")
     assert main(monkeypatch, "new", tmp_path / "arm", *given) == 0
     assert (tmp_path / "arm" / "poses.csv").read_text().startswith(f"{names}\n")
     with pytest.raises(InputError, match="2 headings for 9 columns; the first row has"):
-        new_problem(tmp_path / "b", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", headings="x,y")
+        new_problem(tmp_path / "b", **files, headings="x,y")
 
 
 def saved_text(path: Path, held: object) -> None:
@@ -322,9 +300,9 @@ def test_arrays_records_and_lists_are_tables(form: str, tmp_path: Path) -> None:
     (tmp_path / "dh.csv").write_text(first_hour.DH)
     name, write = HELD[form]
     write(tmp_path / name)
-    arm = tmp_path / "arm"
-    problem = new_problem(arm, dh=tmp_path / "dh.csv", data=tmp_path / name, ask=lambda q: pytest.fail(q.text))
-    m = read_campaign(arm, arm / "poses.csv", problem.robot)
+    given = {"dh": tmp_path / "dh.csv", "data": tmp_path / name}
+    problem = new_problem(tmp_path / "arm", **given, ask=lambda q: pytest.fail(q.text))
+    m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", problem.robot)
     np.testing.assert_allclose(np.rad2deg(m.q), Q, atol=1e-4)
     assert m.position is not None
     np.testing.assert_allclose(1e3 * m.position, P, atol=1e-3)
@@ -381,9 +359,8 @@ def test_joints_by_name_are_counted_from_zero_with_the_one_that_has_no_name(tmp_
     ],
 )
 def test_a_direction_of_approach_may_be_a_sign(heading: str, cells: list[object], tmp_path: Path) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    READINGS.join(SEEN).assign(**{heading: cells * (ROWS // 2)}).to_csv(tmp_path / "table.csv", index=False)
-    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv").whole
+    table = READINGS.join(SEEN).assign(**{heading: cells * (ROWS // 2)})
+    (m,) = new_problem(tmp_path / "arm", **first_hour.given(tmp_path, table)).whole
     np.testing.assert_array_equal(m.conditions["approach1"], [1, -1] * (ROWS // 2))
 
 
@@ -431,9 +408,8 @@ POSITIONS_ALONE = (
 
 @pytest.mark.parametrize("form", PARTNERS)
 def test_a_form_is_recognised_in_few_rows(form: str, tmp_path: Path) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    first_hour.given(tmp_path, PARTNERS[form])
     (tmp_path / "robot.toml").write_text(robot_text(tmp_path / "dh.csv", "arm", "modified"))
-    (tmp_path / "table.csv").write_text(PARTNERS[form])
     robot = read_campaign_robot(tmp_path / "robot.toml")
     m = read_campaign(tmp_path / "robot.toml", tmp_path / "table.csv", robot, later=True)
     m = m[::2] if "x2" in form else m
@@ -448,11 +424,9 @@ def test_a_form_is_recognised_in_few_rows(form: str, tmp_path: Path) -> None:
 
 
 def test_numbered_columns_of_other_words_are_no_angles_of_the_tool(tmp_path: Path) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
     more = pd.DataFrame(np.random.default_rng(2).uniform(-1, 1, (ROWS, 3)), columns=["phix1", "phix2", "phix3"])
-    READINGS.join([SEEN, more]).to_csv(tmp_path / "table.csv", index=False)
-    ask: Callable[[object], str] = lambda q: pytest.fail(str(q))  # noqa: E731
-    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", ask=ask).whole
+    given = first_hour.given(tmp_path, READINGS.join([SEEN, more]))
+    (m,) = new_problem(tmp_path / "arm", **given, ask=lambda q: pytest.fail(str(q))).whole
     assert m.kind == "position"
 
 
@@ -461,10 +435,8 @@ def test_rounded_coordinates_of_the_robot_give_way_to_a_measured_length(tmp_path
     computed = first_hour.positions(Q, first_hour.ROWS, first_hour.TOOL)
     table = pd.DataFrame(np.hstack([Q.round(1), computed.round(1)]), columns=[*J, "x", "y", "z"])
     table["L"] = np.linalg.norm(P - [3000, 200, 100], axis=1)
-    table.to_csv(tmp_path / "table.csv", index=False)
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
     said: list[object] = []
-    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", show=said.append).whole
+    (m,) = new_problem(tmp_path / "arm", **first_hour.given(tmp_path, table), show=said.append).whole
     assert m.kind == "distance"
     assert "the coordinates are computed" in str(said)
 
@@ -484,10 +456,8 @@ CONTROLLERS = NOMINAL + np.random.default_rng(0).normal(0, 0.3, P.shape)
 def test_measured_coordinates_go_before_those_of_the_controller(
     names: list[str], beside: np.ndarray, tmp_path: Path
 ) -> None:
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
     table = pd.DataFrame(np.hstack([Q, beside, P]), columns=[*J, *names])
-    table.to_csv(tmp_path / "table.csv", index=False)
-    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv").whole
+    (m,) = new_problem(tmp_path / "arm", **first_hour.given(tmp_path, table)).whole
     assert m.position is not None
     np.testing.assert_allclose(1e3 * m.position, P, atol=1e-3)
 
@@ -497,9 +467,8 @@ def test_the_order_of_numbers_is_seen_though_a_joint_counts_the_other_way(headin
     turned = Q * [1, -1, 1, 1, 1, 1]
     names = [*J, "x", "y", "z", *(f"quat{k}" for k in range(4))]
     seen = Rotation.from_matrix(R).as_quat(scalar_first=True)
-    pd.DataFrame(np.hstack([turned, P, seen]), columns=names).to_csv(tmp_path / "t.csv", index=False, header=headings)
-    (tmp_path / "dh.csv").write_text(first_hour.DH)
-    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "t.csv").whole
+    text = pd.DataFrame(np.hstack([turned, P, seen]), columns=names).to_csv(index=False, header=headings)
+    (m,) = new_problem(tmp_path / "arm", **first_hour.given(tmp_path, text)).whole
     assert m.orientation is not None
     np.testing.assert_allclose(m.orientation, R, atol=1e-5)
     np.testing.assert_allclose(np.rad2deg(m.q), turned, atol=1e-4)
