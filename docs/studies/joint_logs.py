@@ -674,14 +674,17 @@ def make(folder: Path, arm: str) -> None:
 
 
 def healthy(folder: Path) -> None:
-    """The five greatest log evidences of each cause in logs without one, with a reference | without."""
-    found: dict[str, tuple[list[float], list[float]]] = {}
+    """The five greatest log evidences of each cause in logs without one, with a reference | without.
+
+    Those of logs of commands alone follow, likewise.
+    """
+    found: dict[str, list[list[float]]] = {}
     for entry in key_of(folder):
         answer = json.loads((folder / f"{entry['id']}.answer.json").read_text())
         for cause in answer["ranking"]:
-            lists = found.setdefault(cause["effect"], ([], []))
-            lists[not entry["reference"]].append(cause.get("log_evidence", np.inf))
-    for name, lists in sorted(found.items(), key=lambda x: -max(*x[1][0], *x[1][1], -np.inf)):
+            lists = found.setdefault(cause["effect"], [[], [], [], []])
+            lists[2 * (not entry["torque"]) + (not entry["reference"])].append(cause.get("log_evidence", np.inf))
+    for name, lists in sorted(found.items(), key=lambda x: -max(sum(x[1], [-np.inf]))):
         greatest = (" ".join(f"{e:4.0f}" for e in sorted(x)[:-6:-1]) for x in lists)
         print(f"{name:52s}" + " | ".join(greatest))
 

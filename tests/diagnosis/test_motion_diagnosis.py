@@ -20,7 +20,15 @@ from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import plain_text
-from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, Found, joint_of, smooth_functions
+from casadical.diagnosis.motion.engine import (
+    MIN_SPAN_RAD,
+    Found,
+    LogProblem,
+    Rows,
+    joint_of,
+    smooth_functions,
+    with_candidates,
+)
 from casadical.diagnosis.motion.hypotheses import _plateaus
 from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, lagged, motion_of
@@ -473,20 +481,28 @@ def test_a_cause_is_named_although_another_joint_has_one_on_no_list():
     assert "in joint 2 is more than on the list" in " ".join(plain_text(found.blocks(), 200).split())
 
 
-def test_saturation_frees_the_position_error_in_the_plateaus_of_a_torque():
-    t = np.arange(400)
-    torque, run = np.clip(np.sin(t / 20), -0.6, 0.6), np.repeat([1, 2], 200)
-    motion, arm = SimpleNamespace(torque=torque[:, None], run=run), SimpleNamespace(joints=1)
-    ((candidate, signals),) = _plateaus(SimpleNamespace(motion=motion, arm=arm, response=torque))
+def test_saturation_is_where_torque_or_speed_is_large_and_frees_the_noise_there():
+    """The plateau of a torque is as noisy as the torque; a joint is left behind by 1 rad."""
+    rng, t = np.random.default_rng(0), np.arange(4000)
+    torque = np.clip(np.sin(t / 200), -0.6, 0.6) + rng.normal(0, 0.025, 4000)
+    motion = SimpleNamespace(torque=torque[:, None], v=np.cos(t / 200)[:, None], step=1 / 60)
+    view = SimpleNamespace(motion=motion, arm=SimpleNamespace(joints=1), response=torque)
+    (candidate, signals), (_, by_speed) = _plateaus(view)
     assert candidate.label == "saturation@1"
-    flat, columns = np.abs(torque) == 0.6, np.stack([s["position", 0] for s in signals], axis=1)
-    used = np.abs(columns).max(axis=1) > 0
-    assert used[flat].all()
-    assert not used[np.abs(torque) < 0.58].any()
-    # Any parabola in the first plateau is a combination of its columns.
-    wanted = np.where(used & (t < 60), (t - 20.0) ** 2, 0.0)
-    left = wanted - columns @ np.linalg.lstsq(columns, wanted, rcond=None)[0]
-    np.testing.assert_allclose(left, 0.0, atol=1e-9)
+    flat, mask = np.abs(np.sin(t / 200)) > 0.6, signals[0]["position", 0] != 0
+    assert mask[flat].all()
+    assert not mask[np.abs(np.sin(t / 200)) < 0.4].any()
+    assert ((by_speed[0]["position", 0] != 0) == (np.abs(np.cos(t / 200)) > 0.8)).mean() > 0.95
+    used, own = np.ones(4000, dtype=bool), np.array([0])
+    for error, detected in ((1.0, True), (1e-3, False)):
+        r = rng.normal(0, np.where(flat, error, 1e-3))
+        rows = Rows("position", 0, used, r, np.ones((4000, 1)), own, 1e-3, t // 2000, 60.0)
+        problem = LogProblem((rows,), np.zeros(1), np.eye(1))
+        problem = replace(with_candidates(problem, [(candidate, signals)]), masks=frozenset([0]))
+        ranking = problem.rank()
+        assert (ranking.log_factor["saturation@1"] > 100) is detected
+        assert (ranking.none < 1e-9) is detected
+        assert len(problem.with_causes(own).rows) == 2
 
 
 def test_a_cause_of_ones_own_is_judged_beside_the_list(tmp_path):

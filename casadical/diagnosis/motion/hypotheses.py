@@ -10,8 +10,9 @@ from casadical.core.basics import Array
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.motion.engine import LogProblem, smooth_functions, with_candidates
 from casadical.diagnosis.motion.servo_rows import Replay, saturation_columns, servo_problem, simulated_columns
+from casadical.diagnosis.motion.signals import SMOOTHING_WIDTH_S
 from casadical.diagnosis.motion.torque_rows import STRIBECK_SPEED_RAD_S, torque_problem
-from casadical.diagnosis.motion.view import LIMIT_SHARE, LogView, Signals, signals_of
+from casadical.diagnosis.motion.view import LogView, Signals, signals_of
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import Cause, motion_effects
 from casadical.effects.settings import grid_points
@@ -35,7 +36,7 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
     # would double the time of its simulations.
     alone = log.motion.torque is None
     hidden = {*FRICTION_CAUSES, *(("payload", "link_mass") if alone else ())} if len(views) < 2 else set()
-    hidden |= {"wall", "obstacle"} if alone else set()
+    hidden |= {"wall", "obstacle"} if alone else {"saturation", "speed_saturation"}
     testable = [kind for kind in chosen if kind.name not in hidden]
     effects = [c for kind in testable for c in _settings(kind, log.arm.joints)]
     if log.motion.torque is not None:
@@ -45,7 +46,10 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
         )
         made = ((candidate, signals_of(log, effect)) for candidate, effect in effects)
         smooth = smooth_functions(log, problem.rows, problem.fit.variance)
-        return with_candidates(problem, chain(made, _plateaus(log), smooth))
+        problem = with_candidates(problem, chain(made, _plateaus(log), smooth))
+        own = zip(problem.groups, (problem.candidates[c].name for c, _ in problem.variants), strict=True)
+        masks = frozenset(int(group[0]) for group, name in own if name == "saturation")
+        return replace(problem, masks=masks)
     problem, replay, x = servo_problem(views)
     torques = {"friction": np.exp(x[:, 2] - x[:, 0]), "drag": np.exp(x[:, 3] - x[:, 0]) * log.motion.v}
     log = replace(log, frictions={k: v / log.peak_torque + 0 * log.motion.q for k, v in torques.items()})
@@ -63,26 +67,20 @@ def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffe
 
 
 def _plateaus(view: LogView) -> Iterator[tuple[Candidate, list[Signals]]]:
-    """Yield saturation of each joint by the plateaus of its torque, in which its position error is free.
+    """Yield saturation of each joint, by torque and by speed: where it is large, it falls behind.
 
-    In each of the eight longest plateaus the error is a parabola in time, of typically 10 mrad.
+    Large is more than .8 of the largest one, as a plateau is as noisy as the signal, and what
+    smoothing mixes with it.
     """
     m, kind = view.motion, motion_effects()["saturation"]
     assert m.torque is not None
+    near = np.ones(1 + 2 * round(SMOOTHING_WIDTH_S / m.step))
     for j in range(view.arm.joints) if view.response is not None else ():
-        torque = m.torque[:, j]
-        at = np.sign(torque) * (np.abs(torque) > LIMIT_SHARE * np.quantile(np.abs(torque), 0.998))
-        edges = np.flatnonzero(np.append(True, (np.diff(at) != 0) | (np.diff(m.run) != 0)))
-        ends = np.append(edges[1:], len(at))
-        plateaus = sorted((a - b, a, b) for a, b in zip(edges.tolist(), ends.tolist(), strict=True) if at[a])
-        signals: list[Signals] = []
-        for _, a, b in plateaus[:8]:
-            for power in range(3):
-                column = np.zeros(len(at))
-                column[a:b] = 0.01 * np.linspace(0, 1, b - a) ** power
-                signals.append({("position", j): column})
-        if signals:
-            yield Candidate(f"saturation@{j + 1}", "saturation", j + 1, ((kind(j + 1),),)), signals
+        for signal in (m.torque[:, j], m.v[:, j]):
+            large = np.abs(signal) > 0.8 * np.quantile(np.abs(signal), 0.998)
+            behind = 0.01 * np.sign(signal) * (np.convolve(large, near, "same") > 0.5)
+            candidate = Candidate(f"saturation@{j + 1}", "saturation", j + 1, ((kind(j + 1),),))
+            yield candidate, [{("position", j): behind}]
 
 
 def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:

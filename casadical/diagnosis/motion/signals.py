@@ -20,7 +20,7 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-SMOOTHING_WIDTH_S = 0.08  # full width of the smoothing kernel (Hann window) [s]
+SMOOTHING_WIDTH_S = 0.08  # full width of the smoothing kernel (Hann window), usually [s]
 EXCLUDED_EDGE_S = 0.15  # time at both ends of each run that is excluded [s]
 # Faster logs are thinned by a whole number to about this sample rate, at most twice as much [Hz].
 MAX_RATE_HZ = 62.5
@@ -157,10 +157,17 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...] = (), max_sampl
     """
     parts: list[dict[str, Array]] = []
     start, torque = 0.0, torque_of(log, arm)
+    steps_of = np.abs(np.diff(log.position, axis=0))
+    smallest = np.where(steps_of > MIN_QUANTUM_RAD, steps_of, np.inf).min(axis=0)
+    quantum = np.where(np.isfinite(smallest), smallest, MIN_QUANTUM_RAD)
+    # Noise of accelerations goes with quantum / width^2.5. With torques it biases the inertia to
+    # zero; it is held at that of .2 mrad.
+    coarse = 1.0 if torque is None else max(1.0, float(np.median(quantum)) / 2e-4)
+    kernel = smoothing_kernel(log.step, SMOOTHING_WIDTH_S * coarse**0.4)
     rows = max(1.0, 1 / (max(log.step, 1e-9) * MAX_RATE_HZ), len(log) / (max_samples or len(log)))
     for number, run in enumerate(log.runs(), 1):
         own = None if torque is None else torque[log.run == run.run[0]]
-        part = _run(_with_delayed_commands(run, arm), log.step, own, widths, round(rows))
+        part = _run(_with_delayed_commands(run, arm), log.step, own, widths, round(rows), kernel)
         if part is not None:
             part["time"] = part["time"] + start
             part["run"] = np.full(len(part["time"]), float(number))
@@ -172,13 +179,7 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...] = (), max_sampl
     memory = {w: signals.pop(f"memory {w}") for w in widths}
     if "heat" in signals:
         signals["heat"] = signals["heat"] - signals["heat"].min(axis=0)
-    steps_of = np.abs(np.diff(log.position, axis=0))
-    smallest = np.where(steps_of > MIN_QUANTUM_RAD, steps_of, np.inf).min(axis=0)
-    return Motion(
-        **signals,
-        memory=memory,
-        quantum=np.where(np.isfinite(smallest), smallest, MIN_QUANTUM_RAD),
-    )
+    return Motion(**signals, memory=memory, quantum=quantum)
 
 
 def _with_delayed_commands(run: JointLog, arm: Arm) -> JointLog:
@@ -207,12 +208,17 @@ def torque_of(log: JointLog, arm: Arm) -> Array | None:
 
 
 def _run(
-    run: JointLog, step: float, torque: Array | None, widths: tuple[float, ...], every: int
+    run: JointLog,
+    step: float,
+    torque: Array | None,
+    widths: tuple[float, ...],
+    every: int,
+    kernel: Array,
 ) -> dict[str, Array] | None:
     """Return the signals of a run by name of the field of `Motion`; None if under two seconds.
 
     step : time between samples [s]; torque : shape (rows, joints) or None; widths : see `motion_of`
-    every : number of samples of which one is taken
+    every : number of samples of which one is taken; kernel : smooths all signals
     """
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):
@@ -222,7 +228,7 @@ def _run(
 
     def smooth(values: Array) -> Array:
         """Return columns at the uniform times, smoothed."""
-        return smoothed(resampled(values, run.time, t), smoothing_kernel(step))
+        return smoothed(resampled(values, run.time, t), kernel)
 
     def rate(values: Array) -> Array:
         """Return the time derivative of columns at the uniform times [1/s]."""
@@ -261,12 +267,12 @@ def resampled(values: Array, time: Array, t: Array) -> Array:
     return np.column_stack([*columns])
 
 
-def smoothing_kernel(step: float) -> Array:
+def smoothing_kernel(step: float, width: float = SMOOTHING_WIDTH_S) -> Array:
     """Return the kernel that smooths all signals of a log, symmetric, of sum one.
 
-    step : time between samples [s]
+    step : time between samples [s]; width : of the kernel [s]
     """
-    half = max(1, round(SMOOTHING_WIDTH_S / step / 2))
+    half = max(1, round(width / step / 2))
     kernel = np.hanning(2 * half + 3)[1:-1]
     return np.asarray(kernel / kernel.sum())
 

@@ -77,7 +77,7 @@ def _servo_columns(view: LogView, j: int) -> dict[str, tuple[Array, float]]:
         "load": (variables["load"][:, j], 2e-4),
     }
     if "servo" in variables:
-        columns["gain"] = variables["servo"][:, j], 0.15
+        columns["gain"] = variables["servo"][:, j], 0.05
     else:
         columns["yields"] = m.torque[:, j] / view.peak_torque[j], 5e-3
     if arm.joint_stiffness is not None and np.isfinite(arm.joint_stiffness[j]):

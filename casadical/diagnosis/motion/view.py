@@ -131,8 +131,10 @@ def _response_residual(m: Motion, arm: Arm, torque: Array, model: Array) -> tupl
         m.by_run(lambda u: servo_error(u[:, :n], arm, m.step, u[0, n:]), np.hstack([u, residual]))
         for u in (torque, torque - forward)
     )
-    # The smaller residual shows whether the drive has a feed-forward of the model's torque.
-    fed = best_of((by_torque, ahead), lambda e: -float((((residual - e) - (residual - e).mean(axis=0)) ** 2).sum()))
+    # The smaller residual shows whether the drive has a feed-forward of the model's torque; in
+    # logarithms, as a joint that a limit of its torque leaves behind would outweigh all others.
+    both = (by_torque, ahead)
+    fed = best_of(both, lambda e: -float(np.log((residual - e).var(axis=0) + 1e-18).sum()))
     return residual - fed, fed
 
 
