@@ -31,6 +31,7 @@ from casadical.diagnosis.motion.engine import (
 )
 from casadical.diagnosis.motion.hypotheses import _plateaus
 from casadical.diagnosis.motion.result import LogDiagnosis, diagnose_log
+from casadical.diagnosis.motion.servo_rows import _prior
 from casadical.diagnosis.motion.signals import arm_of, lagged, motion_of
 from casadical.diagnosis.motion.view import log_view
 from casadical.effects.motion import motion_effects
@@ -236,6 +237,17 @@ def test_with_commands_alone_the_position_error_is_judged():
     assert found.to_json()["gap"]["unit"] == "rad"
     model, usual, _ = found.gap()
     np.testing.assert_array_less(usual, 0.25 * model)
+
+
+def test_of_commands_alone_the_damping_of_a_servo_acts_on_the_speed_or_on_its_error():
+    """D on the speed's error moves the command ahead by kd / kp, 33 ms; D on the speed does not."""
+    log = simulated(2)
+    rates = [np.gradient(log.command[log.run == run], 1 / RATE, axis=0) for run in (1, 2)]
+    other = replace(log, command=log.command + DAMPED / STIFF * np.concatenate(rates))
+    arm = arm_of(ROBOT)
+    views = [log_view(motion_of(replace(one, current=None), arm), arm) for one in (log, other)]
+    shift = _prior(views[0])[0][:, 5] - _prior(views[1])[0][:, 5]
+    np.testing.assert_allclose(shift, -DAMPED / STIFF)
 
 
 def test_a_joint_that_never_moves_is_no_cause():

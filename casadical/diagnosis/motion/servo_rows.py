@@ -216,6 +216,14 @@ def _prior(view: LogView) -> tuple[Array, Array]:
     mean[:, 3] = np.log(np.maximum(damping, 5e-3))
     mean[:, 4] = np.log(np.maximum(TYPICAL_INERTIA_SHARE * arm.rotor / view.gain, 1e-4))
     mean[:, 5] = -CLOCK_STEPS * view.motion.step
+    if arm.kd is not None and arm.kd.any():
+        # D acts on the speed, or on the speed's error, where the command's speed moves it ahead.
+        m, ahead = view.motion, arm.kd / view.gain
+        slopes = [
+            np.linalg.lstsq(np.column_stack([v, np.sign(v), 0 * v + 1]), e, rcond=None)[0][0]
+            for v, e in zip(m.v.T, (m.command - m.position).T, strict=True)
+        ]
+        mean[:, 5] -= ahead * (np.median(slopes) < 0.5 * np.median(ahead))
     mean[:, 6] = TYPICAL_LOAD_FRICTION
     width = np.tile([sigma for sigma, *_ in BASE_PARAMETERS.values()], (n, 1))
     width[:, 5] = np.hypot(width[:, 5], CLOCK_STEPS * view.motion.step)
