@@ -28,12 +28,19 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     if not state.steps:
         return state, end
     steps = [_given_others(state, k) for k in range(len(state.steps))]
-    listed = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
-    if len(listed) < len(steps):  # unlisted causes with one label only are never claimed
-        rest = replace(state, steps=tuple(listed)).ranked()
-        # An unlisted effect took probability from a listed one that looks like it.
-        kept = (_given_others(rest, 0, first=True),) if len(listed) == 1 else rest.steps
-        return named(replace(rest, steps=kept), "ambiguous", seed)
+    # Unlisted causes with one label only are never claimed.
+    kept = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
+    again = end if len(kept) == len(steps) else "ambiguous"
+    if again == end and len(steps) > 1:
+        # Nor is a cause that the others make improbable; they are judged again without it.
+        least = best_of(steps, lambda s: s.ranking.none)
+        kept = [s for s in steps if s is not least or s.ranking.none <= 0.5]
+    if len(kept) < len(steps):
+        rest = replace(state, steps=tuple(kept)).ranked()
+        # An effect that is removed took probability from a listed one that looks like it.
+        if len(kept) == 1:
+            rest = replace(rest, steps=(_given_others(rest, 0, first=True),))
+        return named(rest, again, seed)
     there = [s for k, s in enumerate(steps) if s.labels[0] not in state.doubted and _shrinks(state, k, seed)]
     alone = len(state.steps) == 1
     further = SETTINGS.max_p_nothing_further

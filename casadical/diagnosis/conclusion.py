@@ -58,7 +58,7 @@ def conclude(
         # would not be detected as a cause is none.
         least = max(SETTINGS.max_flaw * state.log_gain, -float(np.log(SETTINGS.max_p_nothing_further)))
         form = last.noise_form if last.log_noise > least else ""
-        account = account_of(case, columns, noise, repeated, form)
+        account = account_of(case, columns, noise, repeated, form, last.noise.get(form, noise))
         return noise, account, noise_floor(case.evidence, noise, account.anchor, seed)
 
     noise, account, floor = noise_of(state, end)
@@ -69,10 +69,7 @@ def conclude(
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     account = account.unless_small(float(before.mean() / after.mean())) if state.steps else account
     error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
-    causes = [_cause(state, step, before, seed) for step in state.steps]
-    # Where more is wrong at its joint, a cause and something else there are equally probable.
-    joints = _joints_of_rest(state, account)
-    causes = [replace(c, confidence=c.confidence / (1 + (c.joint in joints))) for c in causes]
+    causes = [_cause(state, step, account, before, seed) for step in state.steps]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
     # Noise causes no more than the whole remaining error, though its size is estimated on a grid.
@@ -87,7 +84,7 @@ def conclude(
     verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
     exactly = with_additional_cause(cause_set(state), state, seed)
     if verdict == "explained":
-        doubted = exactly and exactly.probability < SETTINGS.min_set and _remainder(state) > SETTINGS.max_flaw
+        doubted = exactly and exactly.probability < SETTINGS.min_set
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
     if verdict == "explained" and state.steps and account.doubt:
         verdict = "unknown"
@@ -95,9 +92,10 @@ def conclude(
         untried = SETTINGS.untried_in_doubt if account.doubt else SETTINGS.untried
         others = tuple((labels, p * (1 - untried)) for labels, p in exactly.others)
         members = {c.label: min(c.confidence, p) for c in causes for p in [exactly.members.get(c.label)] if p}
-        exactly = replace(
-            exactly, probability=exactly.probability * (1 - untried), members=members, others=others, untried=untried
-        )
+        known = 1 - SETTINGS.look_alike
+        known_as = {c: {k: known * p for k, p in own.items()} for c, own in exactly.names.items()}
+        p = exactly.probability * (1 - untried)
+        exactly = replace(exactly, probability=p, members=members, names=known_as, others=others, untried=untried)
     if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(
@@ -138,20 +136,25 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
     return further if error < floor else None
 
 
-def _joints_of_rest(state: State, account: NoiseAccount) -> set[int | None]:
-    """Return the joints (1-based) where an unlisted effect remains or has its driver, or that scatter.
+def _rest_at(state: State, step: Step, account: NoiseAccount) -> float:
+    """Return the probability that something unlisted remains where a cause acts or has its driver.
 
-    account : of the noise; scatter remains only where it is in doubt
+    There the cause and something else are equally probable. It is 1 where the joint scatters and
+    the noise is in doubt, and 0 for a flaw of the equation. account : of the noise
     """
-    last, numbers = state.rankings[-1], state.case.robot.numbers
-    best, flaw = state.by_label.get(last.order[0]), _remainder(state) <= SETTINGS.max_flaw
-    if best and not flaw and last.none <= SETTINGS.max_p_nothing_further:
-        effect = best.variants[0][0]
-        return set() if best.listed else {effect.joint, getattr(effect, "driver", None)} - {None}
-    return {j for j in numbers if account.doubt and noisy_joint_label(j) == last.noise_form}
+    last, names = state.rankings[-1], ("joint", "driver", "source", "first", "second")
+    every = (getattr(e, name, None) for e in step.effects for name in names)
+    places = {joint for joint in every if isinstance(joint, int)}
+    if account.doubt and last.noise_form in {noisy_joint_label(j) for j in places}:
+        return 1.0
+    unlisted = [c for c in state.case.candidates if not c.listed and c.label in last.probability]
+    there = [c.label for c in unlisted if not places.isdisjoint(getattr(c.variants[0][0], n, None) for n in names)]
+    gain = max((last.log_factor[label] for label in there), default=0.0)
+    flaw = gain <= SETTINGS.max_flaw * step.ranking.log_factor[step.labels[0]]
+    return 0.0 if flaw else sum(last.probability[label] for label in there)
 
 
-def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
+def _cause(state: State, step: Step, account: NoiseAccount, before: Array, seed: int) -> Cause:
     """Return a step of the search as a named cause.
 
     before : held-out errors of the inliers by the base model, shape (n_inliers,) [m]
@@ -160,10 +163,13 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
     candidate = state.by_label[label]
     alone = partitioned_errors(state.case.evidence, state.case.group(step.effects), ranking.noise[label], seed)
     values = parameter_values(state.case, state.columns(), step.effects, ranking.noise[label])
+    # An effect in doubt that is four times as large as what the cause explains may do the same.
+    small = account.unless_small(float(before.mean() / alone.mean()), 4.0).doubt
+    share = (1 - SETTINGS.look_alike) * (1 - max(_rest_at(state, step, account), bool(small)) / 2)
     return Cause(
         effect=candidate.name,
         joint=candidate.joint,
-        confidence=ranking.probability[label],
+        confidence=ranking.probability[label] * share,
         shrink=float(1 - alone.mean() / before.mean()),
         shrink_interval=shrink_interval(before, alone, seed, state.case.evidence.stop),
         indistinguishable=rivals_of(step, state.listed(ranking)),
@@ -245,20 +251,11 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
     if share < SETTINGS.min_explained and (end == "unknown" or rest > SETTINGS.max_unexplained):
         return "unknown"
-    if end == "unknown" and _remainder(state) > SETTINGS.max_flaw:
+    last, claimed = state.rankings[-1], state.log_gain
+    if end == "unknown" and last.log_factor[last.order[0]] > SETTINGS.max_flaw * claimed > 0:
         return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous"
     # A model that does not predict held-out blocks of time explains nothing.
     blocks = shrinks["blocks_mm"].to_numpy()
     return "unknown" if blocks[-1] > SETTINGS.max_block_ratio * blocks[0] else "explained"
-
-
-def _remainder(state: State) -> float:
-    """Return the log Bayes factor of the best additional cause divided by that of all causes.
-
-    It is 0 without causes in the model.
-    """
-    claimed = state.log_gain
-    last = state.rankings[-1]
-    return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0

@@ -263,7 +263,8 @@ class _Question:
         the robot stands upright instead, the sentence says so. For that the poses are turned.
         """
         case = found.case
-        causes = [c for c in found.causes if c.joint == 1 and c.effects and c.confidence >= SETTINGS.min_claim]
+        likely = {k for r in found.rankings for k, p in r.probability.items() if p >= SETTINGS.min_claim}
+        causes = [c for c in found.causes if c.joint == 1 and c.effects and c.label in likely]
         turn = _turn_to_upright(case.robot, case.m) if causes and case.observations.plain else None
         if turn is None:
             return found

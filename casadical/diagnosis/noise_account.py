@@ -92,14 +92,14 @@ class NoiseAccount:
             return self.repeats
         return float(np.sqrt(self.total**2 - self.excess**2)) if self.excess else 0.0
 
-    def unless_small(self, times: float) -> Self:
+    def unless_small(self, times: float, most: float = SETTINGS.max_hidden) -> Self:
         """Return the account without its doubt if the effect that may hide in it is small.
 
-        It is if its rms is below `Settings.max_hidden` times that of the named causes together.
+        It is if its rms is below `most` times that of causes.
         times : error of the base model divided by that with the causes
         """
         explained = self.total * float(np.sqrt(max(times**2 - 1, 0.0)))
-        small = self.hidden < SETTINGS.max_hidden * explained
+        small = self.hidden < most * explained
         return replace(self, doubt="", only_size_doubted=False) if small else self
 
     @property
@@ -157,12 +157,15 @@ class NoiseAccount:
         return "; ".join(said)
 
 
-def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, likely_form: str = "") -> NoiseAccount:
+def account_of(
+    case: Case, columns: Array, noise: Noise, repeated: Replicates, likely_form: str = "", of_form: Noise | None = None
+) -> NoiseAccount:
     """Return the account of the noise that remains with some causes in the model.
 
     columns : indices of the causes' columns, shape (k,); noise : most likely with these causes
     repeated : standard deviation over repeated poses
     likely_form : label of the form of noise that is more probable than white noise, or empty
+    of_form : the most likely noise of that form; None: `noise`
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
     taken, remainder, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
@@ -192,7 +195,9 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, l
     white = replace(judged, excess=0.0, structures=(), like_noise=True)
     of_size, of_joints = doubt_of(white, lever, ""), doubt_of(white, lever, form or likely_form)
     joints = doubt == of_joints and (likely_form.startswith(NOISY_JOINT) or lever * noise.repeatability > noise.sigma)
-    hidden = float(np.sqrt(max(taken**2 - noise.sigma**2, 0.0))) if joints else taken
+    # What scatters at a single joint is not in the equal repeatability of all.
+    sigma = (of_form if of_form and likely_form.startswith(NOISY_JOINT) else noise).sigma
+    hidden = float(np.sqrt(max(taken**2 - sigma**2, 0.0))) if joints else taken
     return replace(found, doubt=doubt, only_size_doubted=doubt == of_size != "", hidden=hidden)
 
 

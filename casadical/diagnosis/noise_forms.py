@@ -75,7 +75,9 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
         none = float(np.logaddexp.reduce(np.array([*own.values()])))
         noise_form = best_of(own, own.__getitem__, logs=True)
     rivals = [f for f in forms if f.label in mass]
-    return replace(ranking, log_noise=none - plain, noise_form=noise_form).with_rivals(rivals, prior)
+    noise_of = {**ranking.noise, **{f.label: f.noise for f in forms}}
+    more = replace(ranking, noise=noise_of, log_noise=none - plain, noise_form=noise_form)
+    return more.with_rivals(rivals, prior)
 
 
 def noisy_joint(case: Case, ranking: Ranking) -> int | None:

@@ -79,7 +79,7 @@ class Cause:
     """One cause.
 
     effect : name of the effect; joint : its joint, 1-based; None if it belongs to none
-    confidence : its posterior probability, halved where more is wrong at its joint
+    confidence : its posterior probability, less where more is wrong at its joint
     shrink : fraction, up to 1, by which the held-out gap falls with this cause alone in the model
     shrink_interval : 95 % interval of `shrink`
     indistinguishable : labels (name or name@joint) that the data do not distinguish from its own

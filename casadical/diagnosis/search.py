@@ -391,7 +391,7 @@ def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...
     A certain cause is returned alone.
     """
     there = 1 - ranking.none
-    if ranking.probability[listed[0]] >= SETTINGS.min_claim * there:
+    if (1 - SETTINGS.look_alike) * ranking.probability[listed[0]] >= SETTINGS.min_claim * there:
         return (listed[0],)
     alike = [k for k in (*listed, *(k for k in ranking.order if k not in listed)) if k in ranking.variant]
     alike = [k for k in alike[1:] if ranking.probability[k] > SETTINGS.min_ambiguous * there] or alike[1:2]

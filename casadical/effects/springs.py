@@ -49,6 +49,7 @@ class GravityCompensator(Effect):
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         """Return the deflection of the joint by the spring's torque [rad]; 0 without compliance.
 
+        It can hide the joint's compliance, which counts as 0.3 mrad at peak torque at least.
         q : variable of the joint [rad]
         """
         assert self.joint is not None
@@ -56,7 +57,9 @@ class GravityCompensator(Effect):
         length = ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * ca.cos(turn)) / self.anchor
         share = self.value(context, "sin") * ca.sin(turn) + self.value(context, "cos") * ca.cos(turn)
         share = share + self.value(context, "preload") * ca.sin(turn) / length
-        return context.values.get(f"c{self.joint}", 0.0) * context.torque_scale[self.joint - 1] * share
+        compliance = context.values.get(f"c{self.joint}")
+        peak = context.torque_scale[self.joint - 1]
+        return 0.0 if compliance is None else ca.fmax(compliance * peak, 3e-4) * share
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """Return a simulator's counterparts with a balancing spring.

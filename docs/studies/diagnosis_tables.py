@@ -109,7 +109,7 @@ def _thresholds() -> str:
             "with a bootstrap: something is there if noise alone looks like it so often at most",
             f"{d.max_bootstrap_p:g}",
         ),
-        ("one cause is claimed from a probability of", f"{d.min_claim:g}"),
+        ("one cause is claimed from / that it only looks like one on no list", f"{d.min_claim:g} / {d.look_alike:g}"),
         ("named causes explain if exactly these have a probability of", f"{d.min_set:g}"),
         (
             "something that was not tried acts beside named causes, the rest like noise / in doubt",

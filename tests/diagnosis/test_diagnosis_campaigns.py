@@ -216,7 +216,7 @@ def test_a_claim_that_hangs_on_the_level_of_the_instrument_says_so(lean_deg: flo
     c, s = np.cos(np.radians(lean_deg)), np.sin(np.radians(lean_deg))
     d = diagnose(robot("ur10e"), replace(m, position=m.position @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])))
     assert d.causes[0].joint == 1
-    assert (d.causes[0].confidence > 0.9) == said
+    assert (d.rankings[0].probability["friction_windup@1"] > 0.9) == said
     assert ('or say frame = "base"' in " ".join(page_of(d).split())) == said
 
 
