@@ -1,9 +1,8 @@
 """Open-loop replay of the real SO-101's thirteen motions, each quarter of them withheld in turn; mrad rms a joint.
 
-The motions of report, of which none was fitted, also by MuJoCo alone, with the exported model, without one effect at a
-time and with published parameters; the torques of a UR10 and a Panda, whose bags (ur10_exciting, panda_exciting:
-repository unisa-acg/inverse-dynamics-solver) are in BAGS. Then what the diagnosis says of each motion on its own: the
-arm is healthy as far as its makers know, and nobody knows the true causes. Made by
+The motions of report, of which none was fitted, also by the exported model in MuJoCo, without one effect at a time and
+with published parameters; torques of a UR10 and a Panda (BAGS: repository unisa-acg/inverse-dynamics-solver). Then the
+diagnosis of each motion alone: the arm is healthy as far as its makers know, nobody knows true causes. Made by
 
     python docs/studies/joint_replay.py BAGS > docs/studies/joint_replay.txt
     python docs/studies/joint_replay.py docs/images/so101.png     # draws the motions of report
@@ -70,8 +69,10 @@ def main() -> None:
             left = 1e3 * np.sqrt(((run.position - q) ** 2).mean(axis=0))
             print(f"  {run.source.removesuffix('.csv.gz'):30}", *(f"{v:6.2f}" for v in left))
     text = moving_mjcf(found.response.robot()).text
-    left = np.concatenate([run.position - driven(text, run) for run in found.runs])
-    print(f"{'by the exported MJCF in MuJoCo':32}", *(f"{1e3 * v:6.2f}" for v in np.sqrt((left**2).mean(axis=0))))
+    errors = [run.position - driven(text, run) for run in found.runs]
+    starts = [e[run.time < run.time[0] + 0.5] for e, run in zip(errors, found.runs, strict=True)]
+    for name, parts in (("by the exported MJCF in MuJoCo", errors), ("  its first half second of a run", starts)):
+        print(f"{name:32}", *(f"{1e3 * v:6.2f}" for v in np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))))
     print("real data, SO-101, the motions of report;", found.effects.sentence)
     print(plain_text([found.effects.table()], 100))
     print(plain_text([*arbitration_tables(found.runs[0].joints, found.after, found.against)], 180))
@@ -86,8 +87,7 @@ def main() -> None:
     for log in logs:
         answer = diagnose_log(robot, log)
         ranking = answer.outcome.rankings[0]
-        best = ranking.order[0]
-        hint = f"{best} {ranking.probability[best]:.2f}" if answer.verdict != "none" else ""
+        hint = f"{ranking.order[0]} {ranking.probability[ranking.order[0]]:.2f}" if answer.verdict != "none" else ""
         print(f"  {log.source.removesuffix('.csv.gz'):30} {answer.verdict:10} {hint}")
 
 

@@ -27,8 +27,8 @@ REMOVALS: Mapping[str, Callable[[Response], Response]] = {
 }
 # The sentence names the effects and joints that together have this fraction of all costs.
 NAMED_SHARE = 0.8
-# An effect counts as having no cost if its removal raises the mean square error, summed over the
-# joints, by less than this fraction of that with all effects.
+# An effect counts as having no cost if its removal raises no joint's mean square error by more than
+# this fraction of that with all effects.
 NEGLIGIBLE_RISE = 0.1
 
 
@@ -67,9 +67,11 @@ class EffectTable:
     def sentence(self) -> str:
         """Return a sentence that names the effects and joints of most of the error.
 
-        It also names the effects without influence.
+        Torques count by their share of each joint's, so that small joints count. It also names the
+        effects without influence on any joint.
         """
-        costs, said, share = self.costs(), list[str](), 0.0
+        unit = 1.0 if self.unit == "mrad" else self.before**2 + 1e-300
+        costs, said, share = {name: cost / unit for name, cost in self.costs().items()}, list[str](), 0.0
         total = sum(float(cost.sum()) for cost in costs.values())
         if not total > 0:
             return "No effect of the response lowers the error."
@@ -81,7 +83,7 @@ class EffectTable:
             most = order[: 1 + int(np.searchsorted(reached, NAMED_SHARE))]
             said.append(f"{name} ({', '.join(self.joints[j] for j in sorted(most.tolist()))})")
             share += float(costs[name].sum()) / total
-        free = [name for name, cost in costs.items() if cost.sum() < NEGLIGIBLE_RISE * (self.full**2).sum()]
+        free = [name for name, cost in self.costs().items() if (cost < NEGLIGIBLE_RISE * self.full**2).all()]
         verb = "make" if len(said) > 1 else "makes"
         return f"{', '.join(said)} {verb} {100 * share:.0f} % of what the effects explain" + (
             f"; {', '.join(free)}: nothing." if free else "."

@@ -119,16 +119,16 @@ class FrictionLaws:
 
     @property
     def explained(self) -> str:
-        """Return a sentence on the percentage of the torque error that each further model explains.
+        """Return a sentence on the percentage of the torque error that each model leaves.
 
-        Percentages are of mean squares and averaged over the joints.
+        Percentages are of rms errors and averaged over the joints.
         """
-        squares = [rms**2 for rms in self.models.values()]
+        first, *others = self.models.values()
         parts = [
-            f"{name.removeprefix('and ')} {round(100 * float(((a - b) / (squares[0] + 1e-300)).mean()))} %"
-            for name, a, b in zip(list(self.models)[1:], squares, squares[1:], strict=False)
+            f"{name} {100 * float((rms / (first + 1e-300)).mean()):.0f} %"
+            for name, rms in zip(list(self.models)[1:], others, strict=True)
         ]
-        return f"Of the torque error of the file's bodies, on rows that were not fitted: {', '.join(parts)}."
+        return f"Of the torque error of the file's bodies remain, on rows that were not fitted: {', '.join(parts)}."
 
     def tables(self) -> list[Table]:
         """Return the tables of the rms torque errors, by model and by friction law."""

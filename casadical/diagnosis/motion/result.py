@@ -205,9 +205,10 @@ class LogDiagnosis(Result):
             first = self.outcome.found[0].label
             said[-1] += f", most of all in joint {joint_of(first)}" if joint_of(first) else ""
             said[-1] += f"; no cause is named, but a hint fits: {hints[0]}" if hints else "; no listed cause fits it"
-            candidate = self.outcome.problem.by_label[first]
-            if candidate.name in NAMED_RIVALS:
-                said[-1] += f", but {candidate.name.replace('_', ' ')} does: {in_words(self.outcome.problem, first)}"
+            name = self.outcome.problem.by_label[first].name
+            if name in NAMED_RIVALS:
+                does = f"and so does {name}" if hints else f"but {name} does"
+                said[-1] += f", {does.replace('_', ' ')}: {in_words(self.outcome.problem, first)}"
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
             said=said,

@@ -149,7 +149,6 @@ def servo_problem(views: Sequence[LogView]) -> tuple[LogProblem, Replay, Array]:
 
     views : the log and, if there is one, its reference, whose fit is the prior then
     """
-    n = views[0].arm.joints
     statics = [v.arm.regressor(v.motion.q, 0 * v.motion.q, 0 * v.motion.q) for v in views]
     turns = _turns(statics, views[0].arm.spread)
     mean, width = _prior(views[0])
@@ -163,16 +162,8 @@ def servo_problem(views: Sequence[LogView]) -> tuple[LogProblem, Replay, Array]:
             every = np.linalg.inv(fit.precision)
             daily = np.diag([daily**2 for _, daily, _ in BASE_PARAMETERS.values()])
             daily[5, 5] += (CLOCK_STEPS * view.motion.step) ** 2
-            covariance = np.stack(
-                [
-                    every[
-                        PARAMETER_COUNT * j : PARAMETER_COUNT * j + PARAMETER_COUNT,
-                        PARAMETER_COUNT * j : PARAMETER_COUNT * j + PARAMETER_COUNT,
-                    ]
-                    + daily
-                    for j in range(n)
-                ]
-            )
+            own = [slice(k, k + PARAMETER_COUNT) for k in range(0, len(every), PARAMETER_COUNT)]
+            covariance = np.stack([every[joint, joint] + daily for joint in own])
             mean, sigma = x, np.sqrt(fit.variance)
     return problem, replay, x
 
