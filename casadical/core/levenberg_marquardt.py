@@ -43,15 +43,16 @@ def levenberg_marquardt(
     move: Callable[[Array, Array], Array] = np.add,
     scale: Callable[[Array], Array] = np.asarray,
     solve: Callable[[Array, Array, Array], Array] | None = None,
-    first: float = 1e-3,
+    first: Array | float = 1e-3,
     least: float = 1e-9,
+    factors: tuple[float, float] | None = None,
     relative: float = 0.0,
     absolute: float = 0.0,
 ) -> Iterator[Descent]:
     """Yield the state of k problems before each step, the last one with all steps done.
 
     The damping follows Nielsen (1999), IMM-REP-1999-05: a step that lowers the cost as predicted
-    divides it by three, refused ones in a row multiply it by 2, 4, 8 and so on.
+    divides it by three, refused ones in a row multiply it by 2, 4, 8 and so on; by default.
 
     evaluate : function of points, shape (k, m), one for each problem; see `Evaluated`
     start : first points, shape (k, m)
@@ -63,6 +64,8 @@ def levenberg_marquardt(
         ones; by default the solution of the equations
     first, least : initial and least damping, in units of the largest diagonal over the largest
         factor. Zero: undamped up to the first refused step, which takes 1e-3
+    factors : divisor of the damping after a step that lowers the cost, and its factor after a
+        refused one, in place of Nielsen's rule
     relative, absolute : a problem has converged when a step lowers the cost by no more than
         relative times the cost plus absolute, or when neither refusals nor damping leave a gain
     """
@@ -72,11 +75,11 @@ def levenberg_marquardt(
     damping, growth, gain = (np.full(len(start), value) for value in (0.0, 2.0, np.inf))
     for turn in range(evaluations):
         diagonal = np.einsum("kii->ki", normal)
-        factors = scale(diagonal)
-        unit = diagonal.max(axis=1) / factors.max(axis=1)
+        scales = scale(diagonal)
+        unit = diagonal.max(axis=1) / scales.max(axis=1)
         damping = np.maximum(damping, (least if turn else first) * unit)
         damped, step = normal[active], np.zeros_like(right)
-        np.einsum("kii->ki", damped)[...] += (damping[:, None] * factors)[active]
+        np.einsum("kii->ki", damped)[...] += (damping[:, None] * scales)[active]
         if solve is None:
             step[active] = np.linalg.solve(damped, right[active][..., None])[..., 0]
         elif active.any():
@@ -93,6 +96,8 @@ def levenberg_marquardt(
         converged = np.where(better, gain <= relative * cost + absolute, predicted <= 1e-12 * cost)
         share = np.clip(gain / np.maximum(predicted, np.finfo(float).tiny), 0, 1)
         lower, higher = damping * np.maximum(1 / 3, 1 - (2 * share - 1) ** 3), damping * growth
+        if factors is not None:
+            lower, higher = damping / factors[0], damping * factors[1]
         damping = np.where(better, lower, np.where(damping > 0, higher, 1e-3 * unit))
         growth = np.where(better, 2.0, 2 * growth)
         active = active & ~converged & (growth <= 1e6)

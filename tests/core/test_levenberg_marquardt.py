@@ -9,7 +9,8 @@ from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 T = np.linspace(0, 3, 30)
 
 
-def test_the_optima_of_many_problems_are_scipys() -> None:
+@pytest.mark.parametrize("factors", [None, (5, 8)])
+def test_the_optima_of_many_problems_are_scipys(factors) -> None:
     """Decays a exp(-b t) with noise, starts far off; the last problem stands at its optimum."""
     rng = np.random.default_rng(0)
     true = np.column_stack([rng.uniform(0.5, 3, 6), rng.uniform(0.2, 4, 6)])
@@ -27,9 +28,8 @@ def test_the_optima_of_many_problems_are_scipys() -> None:
 
         return (left**2).sum(axis=1), sums
 
-    start = np.tile([1.0, 1.0], (6, 1))
-    start[-1] = expected[-1].x
-    *_, end = levenberg_marquardt(evaluate, start, 60, relative=1e-14)
+    start = np.concatenate([np.ones((5, 2)), [expected[-1].x]])
+    *_, end = levenberg_marquardt(evaluate, start, 60, relative=1e-14, factors=factors)
     assert end.point == pytest.approx(np.array([e.x for e in expected]), abs=1e-6)
     assert end.cost == pytest.approx([2 * e.cost for e in expected], rel=1e-9)
     assert not end.active.any()

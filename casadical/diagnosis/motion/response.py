@@ -17,6 +17,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.diagnosis.motion.floor import (
     CONTACT_MARGIN_M,
     INDEPENDENT_SAMPLE_FRACTION,
@@ -599,57 +600,48 @@ def _solved(p: _Problem, start: Array) -> tuple[Array, Array]:
     Joints are independent of each other. start : initial parameters
     """
     x, damping = start.round(STEP_DECIMALS), np.full(len(start), 1e-3)
-    residual, slope = p.residual(x)
+    best, sigma = p.residual(x), np.zeros(len(start))  # residuals and slopes at x
+    trial = best
+
+    def evaluate(x: Array) -> Evaluated:
+        """Return cost and normal equations of all joints at x."""
+        nonlocal trial
+        trial = next(known, None) or p.residual(x)
+        cost, H, b = _normal(p, sigma, x, *trial)
+        return cost, lambda of: (H[of], b[of])
+
     for _ in range(NOISE_ROUNDS):
-        sigma = (
-            1.4826 * np.array([np.median(np.abs(e[w > 0])) for e, w in zip(residual.T, p.weight.T, strict=True)])
-            + MIN_NOISE_RAD
-        )
-        before = _cost(p, residual, sigma, x)
-        for _ in range(MAX_STEPS_PER_ROUND):
-            H, b = _normal(p, sigma, x, residual, slope)
-            step = np.linalg.solve(H + damping[:, None, None] * H * np.eye(PARAMETERS_PER_JOINT), b[..., None])[
-                ..., 0
-            ].round(STEP_DECIMALS)
-            further, slopes = p.residual(x + step)
-            now = _cost(p, further, sigma, x + step)
-            better = now < before
-            x[better] += step[better]
-            residual[:, :, better], slope[:, :, better] = further[:, :, better], slopes[:, :, better]
-            damping = np.clip(np.where(better, damping / 5, damping * 8), 1e-9, 1e9)
-            done = (np.abs(before - now) < MIN_COST_DECREASE * before).all()
-            before = np.where(better, now, before)
-            if done:
+        typical = [np.median(np.abs(e[w > 0])) for e, w in zip(best[0].T, p.weight.T, strict=True)]
+        sigma, known = 1.4826 * np.array(typical) + MIN_NOISE_RAD, iter([best])
+        for end in levenberg_marquardt(
+            evaluate,
+            x,
+            1 + MAX_STEPS_PER_ROUND,
+            solve=lambda _, damped, right: np.linalg.solve(damped, right[..., None])[..., 0].round(STEP_DECIMALS),
+            first=damping,
+            factors=(5, 8),
+        ):
+            for own, values in zip(best, trial, strict=True):
+                own[:, :, end.gain > 0] = values[:, :, end.gain > 0]
+            if (np.abs(end.gain) < MIN_COST_DECREASE * (end.cost + np.maximum(end.gain, 0))).all():
                 break
-    covariance = np.linalg.inv(_normal(p, sigma, x, residual, slope)[0])[:, _LOG_PARAMETERS][:, :, _LOG_PARAMETERS]
+        x, damping = end.point, end.damping
+    covariance = np.linalg.inv(_normal(p, sigma, x, *best)[1])[:, _LOG_PARAMETERS][:, :, _LOG_PARAMETERS]
     way = np.array([-1.0, 1.0, 1.0, 1.0, 1.0])  # the compliance is one over the gain
     return x, covariance * way * way[:, None]
 
 
-def _cost(p: _Problem, residual: Array, sigma: Array, x: Array) -> Array:
-    """Return the cost of each joint, shape (joints,): pseudo-Huber residuals and priors.
+def _normal(p: _Problem, sigma: Array, x: Array, residual: Array, slope: Array) -> tuple[Array, Array, Array]:
+    """Return cost (joints,) and normal equations of each joint, H (joints, 6, 6) and b (joints, 6).
 
-    residual : shape (steps, pieces, joints) [rad]; sigma : noise, shape (joints,) [rad]
-    x : parameters
+    The cost has pseudo-Huber residuals, by which outliers have less weight, and priors.
+    sigma : noise, shape (joints,) [rad]; residual, slope : as of `_Problem.residual`
     """
-    rows = p.weight * 2 * OUTLIER_SIGMAS**2 * (np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2) - 1)
-    return np.asarray(
-        INDEPENDENT_SAMPLE_FRACTION * rows.sum(axis=(0, 1)) + (((x - p.middle) / p.width) ** 2).sum(axis=1)
-    )
-
-
-def _normal(p: _Problem, sigma: Array, x: Array, residual: Array, slope: Array) -> tuple[Array, Array]:
-    """Return the normal equations of each joint, H (joints, 6, 6) and b (joints, 6).
-
-    Priors are included; outliers have less weight. residual, slope : as of `_Problem.residual`
-    """
-    n = residual.shape[2]
-    weight = (
-        INDEPENDENT_SAMPLE_FRACTION * p.weight / (sigma**2 * np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2))
-    )
+    n, aside = residual.shape[2], (x - p.middle) / p.width
+    root = np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2)
+    rows = INDEPENDENT_SAMPLE_FRACTION * p.weight
+    cost = (rows * 2 * OUTLIER_SIGMAS**2 * (root - 1)).sum(axis=(0, 1)) + (aside**2).sum(axis=1)
     A = slope.reshape(-1, n, PARAMETERS_PER_JOINT).transpose(1, 2, 0)
-    weighted = A * weight.reshape(-1, n).T[:, None]
-    b = (weighted @ residual.reshape(-1, n).T[..., None])[..., 0]
-    return weighted @ A.transpose(0, 2, 1) + np.eye(PARAMETERS_PER_JOINT) / p.width[:, None, :] ** 2, b - (
-        x - p.middle
-    ) / p.width**2
+    weighted = A * (rows / (sigma**2 * root)).reshape(-1, n).T[:, None]
+    b = (weighted @ residual.reshape(-1, n).T[..., None])[..., 0] - aside / p.width
+    return cost, weighted @ A.transpose(0, 2, 1) + np.eye(PARAMETERS_PER_JOINT) / p.width[:, None, :] ** 2, b

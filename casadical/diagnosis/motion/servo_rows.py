@@ -13,6 +13,7 @@ from itertools import islice
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, LogProblem, Rows
@@ -235,47 +236,44 @@ def _fitted(replay: Replay, mean: Array, covariance: Array, sigma: Array) -> tup
         start = mean.copy()
         start[:, 2] += np.log(factor)
         starts.append(_descended(replay, start, mean, covariance, sigma, small))
-    costs = np.stack([_costs(problem, x, mean, covariance, small) for x, problem in starts])
-    best = np.array([first_of_best(-own) for own in costs.T])
+    best = [first_of_best(-own) for own in np.stack([cost for _, cost, _ in starts], axis=1)]
     x = np.stack([starts[k][0][j] for j, k in enumerate(best)])
-    rows = tuple(starts[k][1].rows[j] for j, k in enumerate(best))
-    problem = replace(starts[0][1], rows=rows, mean=(mean - x).ravel())
-    return _descended(replay, x, mean, covariance, sigma, problem.fit.variance)
+    rows = tuple(starts[k][2].rows[j] for j, k in enumerate(best))
+    variance = replace(starts[0][2], rows=rows, mean=(mean - x).ravel()).fit.variance
+    x, _, problem = _descended(replay, x, mean, covariance, sigma, variance)
+    return x, problem
 
 
 def _descended(
     replay: Replay, x: Array, mean: Array, covariance: Array, sigma: Array, variance: Array
-) -> tuple[Array, LogProblem]:
-    """Return parameters and problem after Levenberg-Marquardt steps from x with a given noise."""
-    best, prior, damping = (
-        _linearised(replay, x, mean, covariance, sigma),
-        np.linalg.inv(covariance),
-        np.full(len(x), 0.1),
-    )
-    for _ in range(MAX_STEPS):
-        after = x.copy()
-        for j, (r, s2) in enumerate(zip(best.rows, variance, strict=True)):
-            A = r.grams[0] / s2 + prior[j]
-            b = r.grams[1] / s2 + prior[j] @ (mean[j] - x[j])
-            after[j] += np.linalg.solve(A + damping[j] * np.diag(np.diag(A)), b)
-        after[:, 5:7] = np.clip(after[:, 5:7], [-0.2, 0.0], [0.4, 2.0])
-        trial = _linearised(replay, after, mean, covariance, sigma)
-        before, now = (_costs(p, z, mean, covariance, variance) for p, z in ((best, x), (trial, after)))
-        better = now < before
-        x = np.where(better[:, None], after, x)
-        damping = np.where(better, damping / 6, damping * 6)
-        rows = tuple(b if ok else a for a, b, ok in zip(best.rows, trial.rows, better, strict=True))
-        best = replace(best, rows=rows, mean=(mean - x).ravel())
-        if (np.abs(before - now) < MIN_COST_DECREASE).all():
+) -> tuple[Array, Array, LogProblem]:
+    """Return parameters, cost of each joint and problem after steps from x with a given noise."""
+    prior, problems = np.linalg.inv(covariance), list[LogProblem]()
+    low, high = np.tile([[-np.inf], [np.inf]], PARAMETER_COUNT)
+    low[5:7], high[5:7] = (-0.2, 0.0), (0.4, 2.0)  # delay and load friction
+
+    def evaluate(x: Array) -> Evaluated:
+        """Return cost and normal equations of all joints at x."""
+        problem, pull = _linearised(replay, x, mean, covariance, sigma), (prior @ (mean - x)[..., None])[..., 0]
+        grams = [[values / s2 for values in r.grams] for r, s2 in zip(problem.rows, variance, strict=True)]
+        H, b, squares = (np.stack(values) for values in zip(*grams, strict=True))
+        problems.append(problem)
+        return squares + ((mean - x) * pull).sum(axis=1), lambda of: ((H + prior)[of], (b + pull)[of])
+
+    for end in levenberg_marquardt(
+        evaluate,
+        x,
+        1 + MAX_STEPS,
+        move=lambda x, step: np.clip(x + step, low, high),
+        first=0.1,
+        factors=(6, 6),
+    ):
+        accepted, trial = problems[0], problems.pop()
+        rows = zip(accepted.rows, trial.rows, end.gain > 0, strict=True)
+        problems[:] = [replace(trial, rows=tuple(new if ok else old for old, new, ok in rows))]
+        if (np.abs(end.gain) < MIN_COST_DECREASE).all():
             break
-    return x, best
-
-
-def _costs(problem: LogProblem, x: Array, mean: Array, covariance: Array, variance: Array) -> Array:
-    """Return the cost of each joint at the parameters x, with the noise variance of each."""
-    fits = [r.share * float(r.r @ r.r) / s2 for r, s2 in zip(problem.rows, variance, strict=True)]
-    asides = zip(x - mean, covariance, strict=True)
-    return np.array([fit + a @ np.linalg.solve(c, a) for fit, (a, c) in zip(fits, asides, strict=True)])
+    return end.point, end.cost, replace(problems[0], mean=(mean - end.point).ravel())
 
 
 def _linearised(replay: Replay, x: Array, mean: Array, covariance: Array, sigma: Array) -> LogProblem:
