@@ -10,7 +10,7 @@ T = np.linspace(0, 3, 30)
 
 
 @pytest.mark.parametrize("factors", [None, (5, 8)])
-def test_the_optima_of_many_problems_are_scipys(factors) -> None:
+def test_the_optima_of_many_problems_are_scipys(factors: tuple[float, float] | None) -> None:
     """Decays a exp(-b t) with noise, starts far off; the last problem stands at its optimum."""
     rng = np.random.default_rng(0)
     true = np.column_stack([rng.uniform(0.5, 3, 6), rng.uniform(0.2, 4, 6)])
