@@ -249,18 +249,6 @@ def test_the_second_trainer_waits_for_the_first() -> None:
     assert len(parts) < 20
 
 
-def test_settings_of_trainers_are_those_of_the_page() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "compensator.md").read_text(encoding="utf-8")
-    default = next(line for line in page.splitlines() if line.startswith("| `lm` (default)"))
-    of_method = next(line for line in page.splitlines() if line.startswith("| `LM-NN-SKCM`"))
-    assert "ten restarts" in default
-    assert LevenbergMarquardt().restarts == 10
-    assert "20 restarts" in of_method
-    assert LevenbergMarquardt.for_method().restarts == 20
-    # The paper's own trainers learn millimetres, not shares of the residual.
-    assert (Backprop.output_scale_mm, Iwo.output_scale_mm, LevenbergMarquardt.output_scale_mm) == (1.0, 1.0, None)
-
-
 def test_a_network_that_corrects_nothing_of_no_error_is_read(tmp_path: Path) -> None:
     made = Compensator.fit(*smooth(60, 0), trainer=LevenbergMarquardt(restarts=1, iterations=30, ridges=(1e-3,)))
     assert made.network is not None

@@ -39,7 +39,6 @@ def test_the_help_loads_no_solver() -> None:
 @pytest.mark.parametrize(
     ("package", "foreign"),
     [
-        ("casadical.compensator", KINEMATICS | {"casadi", "casadical.export"}),
         ("casadical.export", KINEMATICS | {"casadical.compensator"}),
         ("casadical.blind_check.mujoco_physics", KINEMATICS | {"casadi", "casadical.export", "casadical.compensator"}),
         ("casadical.project.calibration", {"scipy", "lark", "mujoco", "plotly"}),

@@ -122,8 +122,8 @@ def test_one_length_in_another_unit_does_not_decide_for_all(tmp_path: Path) -> N
 
 
 def test_measured_data_with_a_dh_table_calibrate_as_the_repositorys_problem_does(tmp_path: Path) -> None:
-    """Real UR10 readings, a few hundred of them."""
-    table = pd.read_csv(ROOT / "data" / "ur10_laser_tracker" / "series_C_random_poses.csv").head(300)
+    """Real UR10 readings, a hundred of them."""
+    table = pd.read_csv(ROOT / "data" / "ur10_laser_tracker" / "series_C_random_poses.csv").head(100)
     table.to_csv(tmp_path / "measured.csv", index=False)
     (tmp_path / "dh.csv").write_text(UR10)
     problem = new_problem(
