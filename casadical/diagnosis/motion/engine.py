@@ -40,7 +40,7 @@ MIN_EVIDENCE = {"torque": 20.0, "position": 30.0}
 DOUBTFUL_CAUSES = frozenset(["play", "link_mass"])
 # Largest log evidence [nats] of a cause in healthy logs (simulated), 200 of a UR10e with currents and
 # 75 of an SO-101 with torques; of other causes, but for doubtful ones and usual ripple, it was at most
-# 12 (docs/studies/joint_logs.py, healthy). Of the SO-101 it exceeds that of the UR10e for a step of
+# 9 (docs/studies/joint_logs.py, healthy). Of the SO-101 it exceeds that of the UR10e for a step of
 # the zero alone, as its torques drift more. A cause fits from `HEALTHY_MARGIN` times it.
 HEALTHY_EVIDENCE = {
     "viscous_friction": 93.0,
