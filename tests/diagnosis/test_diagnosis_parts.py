@@ -17,7 +17,7 @@ from scipy.stats import chi2, multivariate_normal, norm
 
 from casadical import InputError, Joint, Measurements, Robot
 from casadical.core.linear_gaussian.noise import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
-from casadical.diagnosis import bootstrap, noise_account, search
+from casadical.diagnosis import bootstrap, noise_account
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.conclusion import rivals_of
 from casadical.diagnosis.evidence import (
@@ -110,7 +110,6 @@ def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
     assert set(found.probability) == {"nonlinear_stiffness@2", "unknown"}
     prior = found.log_mass["nonlinear_stiffness@2"] - found.log_factor["nonlinear_stiffness@2"]
     assert np.exp(prior) == pytest.approx(0.05 * PRIOR_FURTHER["listed"])
-    assert SETTINGS.same_joint_prior_factor == 0.05
 
 
 def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
@@ -343,13 +342,3 @@ def test_a_declared_noise_rules_unless_the_fit_differs(fitted: float, rule: Rule
     like = SimpleNamespace(structures=(), like_noise=True)
     found = noise_account._by_statement(case, Noise(fitted, 0.0), like)
     assert found == (False, rule, fitted)
-
-
-def test_labels_whose_probability_is_just_enough_together_are_claimed(monkeypatch) -> None:
-    share = SETTINGS.ambiguous_share / 2
-    ranking = SimpleNamespace(none=0.0, probability={"a": share, "b": share})
-    named = {label: SimpleNamespace(name=label) for label in "ab"}
-    state = SimpleNamespace(listed=lambda _: ["a"], by_label=named, steps=())
-    monkeypatch.setattr(search, "_detected", lambda *_: True)
-    monkeypatch.setattr(search, "indistinguishable", lambda *_: ("a", "b"))
-    assert search.next_cause(state, ranking) == ("claimed", ("a", "b"))
