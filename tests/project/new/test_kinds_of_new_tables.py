@@ -145,7 +145,7 @@ def test_a_table_of_camera_poses_is_calibrated_from_a_urdf_with_and_without_a_fo
 
 def test_orientations_that_the_robot_cannot_have_had_are_no_result(tmp_path: Path) -> None:
     """Of a tool whose orientation nobody left open, and of a convention that is another one."""
-    _, _, R = poses()
+    _, _, R = poses(20)
     arm = folder_of(tmp_path, table(**FORMS["quaternion"](R)))
     robot, data = arm / "robot.toml", arm / "poses.csv"
     text = robot.read_text()
