@@ -585,6 +585,13 @@ def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
         assert [f.label for f in LogDiagnosis(None, view, outcome, ()).named] == named
 
 
+@pytest.mark.parametrize(("gain", "torque", "fits"), [(150, None, 0), (160, None, 1), (150, 1.0, 1)])
+def test_of_commands_alone_a_cause_of_the_arm_needs_more_than_healthy_logs_have(gain, torque, fits):
+    view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
+    outcome = SimpleNamespace(found=[Found("warm_up", 0, True, 1.0, ("warm_up",), gain, 0.0)])
+    assert bool(LogDiagnosis(None, view, outcome, ()).fitting) == fits
+
+
 @pytest.mark.parametrize(("unit", "factor", "word"), [("", 1e3, "mrad"), ("A", 1.0, "A")])
 def test_residuals_of_joints_are_told_in_their_unit(unit: str, factor: float, word: str) -> None:
     gap, log, arm = [np.array([k * 1e-3]) for k in (4, 3, 2)], SimpleNamespace(joints=("a",)), SimpleNamespace(joints=1)
