@@ -86,7 +86,6 @@ def predict(
 
     folder : campaigns that `make` wrote
     out : file of answers, a line each; None: answers.diagnosis.jsonl in the folder
-    executor, show : as of `make`
     Raises InputError for no such folder, tables that cannot be read, or a file that answers another
     check.
     """

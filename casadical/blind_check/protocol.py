@@ -304,10 +304,7 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
 
 
 def _read(schema: Any, text: bytes, place: str, remedy: str) -> Any:
-    """Return a line of JSON as an instance of a schema.
-
-    Raises InputError.
-    """
+    """Return a line of JSON as an instance of a schema."""
     try:
         return schema.model_validate_json(text)
     except ValidationError as error:

@@ -246,7 +246,6 @@ def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
     """Return the score of answers to the campaigns in a folder, by their key.
 
     folder : campaigns that `make` wrote
-    key : folder of the key, or its file
     answers : file of answers that `predict` wrote
     Raises InputError if the key is not the published one, or the answers are to another check.
     """

@@ -118,10 +118,7 @@ Json = Annotated[
 
 
 def _with_report(path: Path | None) -> Path | None:
-    """Return the path of --report unchanged, after a check that plotly is installed.
-
-    Raises InputError if it is not.
-    """
+    """Return the path of --report unchanged, after a check that plotly is installed."""
     if path:
         from casadical.core.reporting.page import require
 
@@ -234,10 +231,7 @@ def refuse_taken(out: Path, overwrite: bool) -> None:
 
 
 def need(given: object, other: object, words: str) -> None:
-    """Check that an option is not given without another one that it needs. Raises InputError.
-
-    words : of the message
-    """
+    """Check that an option is not given without another one that it needs. Raises InputError."""
     if given and not other:
         raise InputError(words)
 

@@ -59,10 +59,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
 
 def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:
-    """Check that numbers, texts and paths of options are usable. Raises InputError.
-
-    given : parameter -> value; outputs : names of parameters that are outputs
-    """
+    """Check that numbers, texts and paths of options are usable. Raises InputError."""
     for name, value in given.items():
         for one in value if isinstance(value, list) else [value]:
             fault = ""
@@ -82,8 +79,6 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
 
 def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
     """Check that no output replaces an input, another output, or a file not by casadical.
-
-    Raises InputError.
 
     overwrite : whether foreign files may be replaced; None: the command has no such option
     """
@@ -126,10 +121,7 @@ def _of_a_set(name: str) -> bool:
 
 
 def _real(path: Path, done: str = "written") -> Path:
-    """Return the real path of an output or input. Raises InputError where it cannot be resolved.
-
-    done : participle in the message, "written" or "read"
-    """
+    """Return the real path of an output or input. Raises InputError where it cannot be resolved."""
     try:
         return real_path(path)
     except (OSError, ValueError, RuntimeError) as error:

@@ -233,8 +233,7 @@ def plan(
 def _places(wires: int | None, sockets: int | None, candidates: Path | None, surveyed: bool) -> Places | None:
     """Return the wires or sockets to plan for in place of positions; None without these options.
 
-    wires, sockets : their number; candidates : table of candidate places; surveyed : whether
-        the places will be measured. Raises InputError where the options contradict each other.
+    surveyed : whether the places will be measured.
     """
     from casadical.project.planning import Places, read_places
 

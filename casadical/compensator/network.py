@@ -227,10 +227,7 @@ def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
 
 
 def _numbers(values: ArrayLike, name: str) -> Array:
-    """Return values as an array of doubles; name : of the argument, for the message.
-
-    Raises InputError: they are no numbers.
-    """
+    """Return values as an array of doubles; name : of the argument, for the message."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -238,10 +235,7 @@ def _numbers(values: ArrayLike, name: str) -> Array:
 
 
 def _finite(rows: Array, name: str, unit: str) -> None:
-    """Check that all values are finite; name, unit : of the argument, for the message.
-
-    Raises InputError.
-    """
+    """Check that all values are finite; name, unit : of the argument, for the message."""
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
         row, column = bad[0]

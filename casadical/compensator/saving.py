@@ -42,13 +42,8 @@ def checksummed(kind: str, version: int, body: dict[str, Any]) -> str:
     return json_text(document | {"sha256": digest(document)})
 
 
-def write_checksummed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
-    """Write the file of `checksummed` atomically. Raises InputError where it cannot be written."""
-    write_whole(Path(path), checksummed(kind, version, body))
-
-
 def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
-    """Return the fields of a file that `write_checksummed` wrote, without the checksum.
+    """Return the fields of a file of `checksummed`, without the checksum.
 
     format and version are among them.
 
@@ -120,7 +115,7 @@ def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> 
     >>> net = casadical.Compensator.fit(poses.q[:30], residual_mm[:30], choose=(poses.q[30:], residual_mm[30:]))
     >>> casadical.compensator.save_compensator(net, "net.json")
     """
-    write_checksummed(path, FILE_FORMAT, FORMAT_VERSION, _body(compensator))
+    write_whole(Path(path), checksummed(FILE_FORMAT, FORMAT_VERSION, _body(compensator)))
 
 
 def compensator_text(compensator: Compensator) -> str:

@@ -56,7 +56,6 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
     A symbolic link is followed; devices and pipes are written into before the files appear. If one
     of several renames fails, the error names the files that have appeared.
 
-    contents : text or bytes of each file by its path
     Raises InputError: two outputs of one name, a folder as a file, no space, no permission.
     """
     written: list[str] = []
@@ -150,7 +149,6 @@ def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
     """Yield a function that appends a text to a file and returns when it is on disk.
 
     start : number of bytes to which the file, made if it is missing, is cut first
-
     Raises InputError: another process appends to it, or it cannot be written.
     """
     with ExitStack() as stack:

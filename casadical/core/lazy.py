@@ -22,10 +22,7 @@ def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[],
     home = {name: module for _, module, _, name, *_ in lines}
 
     def find(name: str) -> "Any":
-        """Return a public name or submodule of the package.
-
-        Raises AttributeError: there is none.
-        """
+        """Return a public name or submodule of the package."""
         if name in home:
             return getattr(import_module(home[name]), name)
         beneath = f"{package}.{name}"

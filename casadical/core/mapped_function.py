@@ -191,11 +191,7 @@ def _library_name(stem: str, library: Path) -> str:
 
 
 def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Function) -> Path | None:
-    """Build a library in a folder and return its path; None where it fails to compile or its test.
-
-    stem : begin of its name; cc : path of the C compiler; text : C source
-    function : CasADi function with whose outputs those of the library must agree
-    """
+    """Build a library in a folder; return its path, or None where it fails to compile or its test."""
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".casadical-") as scratch:
             code, made = Path(scratch) / "kernel.c", Path(scratch) / "kernel.so"

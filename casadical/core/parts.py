@@ -478,7 +478,6 @@ def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
     """Check that a four-bar connects two successive revolute joints with parallel, distinct axes.
 
     number : number of the four-bar, from 1, for the message
-    Raises InputError, also where two four-bars drive one joint.
     """
     where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
     if not 1 <= loop.carrier < loop.driven <= arm.n or loop.driven - loop.carrier != 1:

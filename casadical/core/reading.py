@@ -51,10 +51,7 @@ MAX_NESTING = 50
 
 
 def missing(path: str | Path, what: str = "file") -> InputError:
-    """Return the InputError for a missing file or folder, which suggests similar names.
-
-    what : "file", "folder" or both, for the message
-    """
+    """Return the InputError for a missing file or folder, which suggests similar names."""
     path = Path(path)
     try:
         there = sorted(p.name for p in path.parent.iterdir() if not p.name.startswith("."))[:MAX_ITEMS]
@@ -131,8 +128,7 @@ def unpacked(data: bytes, source: str) -> bytes:
 def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
     """Check that a path is not a device, a folder, a pipe or a socket.
 
-    about : status of the file; streamed : whether it is a stream of this process, maybe a pipe
-    Raises InputError.
+    streamed : whether it is a stream of this process, maybe a pipe
     """
     if stat.S_ISCHR(about.st_mode) or stat.S_ISBLK(about.st_mode):
         raise InputError(f"{shown(path)}: is a device; name a file")
@@ -177,7 +173,6 @@ def load_json(path: str | Path) -> Any:
 def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
     """Return the value of a JSON text as plain data.
 
-    source : name of the text in messages
     kind : type that the value must have, by default an object (dict); object: any
     Raises InputError: no JSON, another type, too deeply nested, or numbers that are not finite or
     have more than 100 digits.
@@ -245,7 +240,6 @@ def read_xml(path: str | Path) -> bytes:
 def foreign(what: str, remedy: str = "") -> Iterator[None]:
     """Convert whatever a library raises for a damaged file in the block to an InputError.
 
-    what : begin of the message; remedy : end of the message
     Raises InputError.
     """
     try:

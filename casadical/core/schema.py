@@ -76,10 +76,7 @@ class TomlTable(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _units(cls, data: Any) -> Any:
-        """Return the table with fields in SI in place of keys with units.
-
-        Raises FaultError: a key without its unit, a field given twice, or too large a value.
-        """
+        """Return the table with fields in SI in place of keys with units."""
         if not isinstance(data, dict):
             return data
         fields: dict[str, Any] = {}
@@ -154,19 +151,13 @@ def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
 
 
 def _faults(listed: Sequence[str], count: int, source: str) -> InputError:
-    """Return the InputError that lists faults of a source.
-
-    count : number of all faults, including those that are not listed
-    """
+    """Return the InputError that lists faults of a source."""
     more = [f"and {count - len(listed)} more"] if count > len(listed) else []
     return InputError("\n  ".join([f"{source}: {count} fault{'s' if count > 1 else ''}", *listed, *more]))
 
 
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
-    """Return a fault as text: the key as written in the file, its value, and what is allowed.
-
-    data : the validated data; error : entry of pydantic's list of errors
-    """
+    """Return a fault as text: the key as written in the file, its value, and what is allowed."""
     cause = error.get("ctx", {}).get("error")
     loc = tuple(part for part in error["loc"] if part not in VALUE_FORMS)
     place = (*loc, *(cause.place if isinstance(cause, FaultError) else ()))

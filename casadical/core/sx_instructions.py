@@ -110,10 +110,7 @@ class SxInstructions:
             return self.evaluate(inputs, self._numpy, float)
 
     def _numpy(self, name: str) -> Callable[..., Any]:
-        """Return the numpy function of an operation, by its name.
-
-        Raises NotImplementedError: there is none.
-        """
+        """Return the numpy function of an operation, by its name."""
         if name not in OPERATIONS:
             raise NotImplementedError(f"{self.name}: CasADi operation {name} has no numpy counterpart here")
         return OPERATIONS[name].numpy

@@ -185,10 +185,7 @@ class Setting(TomlTable):
 
     @model_validator(mode="after")
     def _values(self) -> Setting:
-        """Return the setting unchanged if its grid and `steps` fit its default.
-
-        Raises FaultError.
-        """
+        """Return the setting unchanged if its grid and `steps` fit its default."""
         if self.grid == "near" and not self.joint:
             raise FaultError("grid", "only for the number of a joint: joint = true")
         if isinstance(self.grid, list) and not {type(v) for v in self.grid} <= {self.type}:
@@ -355,10 +352,7 @@ def _as_word(value: Any) -> str:
 
 
 def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) -> _Texts:
-    """Return the texts of a definition with its placeholders replaced.
-
-    places : names in the placeholders; words : text for each, in the same order
-    """
+    """Return the texts of a definition with its placeholders replaced."""
     of_place = dict(zip(places, words, strict=True))
 
     def filled(text: str) -> str:
@@ -377,10 +371,7 @@ def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) ->
 
 @cache
 def _class_of(definition: str, module: str, name: str) -> type[DefinedEffect]:
-    """Return the class of an effect, the same object for equal arguments.
-
-    definition : `Definition` as JSON; module, name : module and name of the class
-    """
+    """Return the class of an effect, the same object for equal arguments."""
     d = Definition.model_validate_json(definition)
     own = [(key, s.type, s.field()) for key, s in d.settings.items()]
     numbered = any(SEAMS[seam].numbered for seam in d.formulas)
@@ -438,7 +429,6 @@ def _refuse_names(d: Definition, functions: Collection[str]) -> None:
 
     Names are those of insertion points, the counterpart, placeholders, settings and parameters.
     Also checked are the sizes and the number of combinations of settings.
-    functions : names that no setting or parameter may have; those of the package may: `sin`, `step`
     """
     for seam in d.formulas:
         if seam not in SEAMS or seam == "joints":
@@ -471,7 +461,6 @@ def _refuse_names(d: Definition, functions: Collection[str]) -> None:
 def effect_classes(definitions: Iterable[Definition], module: str = "effect file") -> tuple[type[DefinedEffect], ...]:
     """Return the effect class of each definition, in order.
 
-    module : name of the module of the classes
     Raises InputError that names the table, 1-based, and the key.
     """
     kinds = []

@@ -118,10 +118,7 @@ def bounds(formula: Formula, ranges: Callable[[str], Interval]) -> Interval:
 
 
 def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Interval:
-    """Return (lower, upper) bounds of a node of a formula's tree; the arguments are of `bounds`.
-
-    text : text of the whole formula, for messages. Raises InputError.
-    """
+    """Return (lower, upper) bounds of a node of a formula's tree; the arguments are of `bounds`."""
     parts = [_bounds(text, each, ranges) for each in ast.iter_child_nodes(node) if isinstance(each, ast.expr)]
     if isinstance(node, ast.Constant):
         low = high = float(node.value)  # type: ignore[arg-type]
@@ -141,11 +138,7 @@ def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Int
 
 
 def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interval:
-    """Return (lower, upper) bounds of the value of a called function.
-
-    text : text of the whole formula; parts : bounds of each argument
-    Raises InputError for the root of an argument that is always negative.
-    """
+    """Return (lower, upper) bounds of the value of a called function."""
     assert isinstance(node.func, ast.Name)
     name, (low, high) = node.func.id, parts[0]
     if name in ("sin", "cos", "tanh", "sign", "step"):
@@ -163,10 +156,7 @@ def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interva
 
 
 def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Interval) -> Interval:
-    """Return (lower, upper) bounds of the value of a binary operation on two intervals.
-
-    text : text of the whole formula. Raises InputError for a divisor that may be zero.
-    """
+    """Return (lower, upper) bounds of the value of a binary operation on two intervals."""
     if isinstance(node.op, ast.Add):
         return left[0] + right[0], left[1] + right[1]
     if isinstance(node.op, ast.Sub):
@@ -185,20 +175,14 @@ def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Inte
 
 
 def _error_at(text: str, node: ast.expr | int, why: str) -> InputError:
-    """Return an error with the formula, the column in it and the reason.
-
-    node : node of the syntax tree, or the column itself, 1-based; why : the reason, in words
-    """
+    """Return an error with the formula, the column in it and the reason."""
     column = node if isinstance(node, int) else node.col_offset + 1
     return InputError(f"formula {text!r}, column {column}: {why}")
 
 
 @lru_cache(maxsize=8192)
 def _tree(text: str) -> ast.expr:
-    """Return the syntax tree of a formula's text; its nodes are not checked yet.
-
-    Raises InputError: empty, more than 400 characters, one not allowed, or a syntax error.
-    """
+    """Return the syntax tree of a formula's text; its nodes are not checked yet."""
     if not text.strip():
         raise InputError("formula: it is empty; a formula such as 'a * max(0, abs(tau3) - 0.3)' is needed")
     if len(text) > 400:
@@ -223,10 +207,7 @@ def _names_of(tree: ast.expr) -> list[ast.Name]:
 
 
 def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
-    """Return the number of components of a node, 1 or 3, and add its names to `names`.
-
-    text : text of the whole formula. Raises InputError for a node that is not allowed.
-    """
+    """Return the number of components of a node, 1 or 3, and add its names to `names`."""
     if isinstance(node, ast.Constant):
         value = node.value
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -240,7 +221,19 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         return _check(text, node.operand, names)
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATOR_SIGNS:
-        return _checked_operation(text, node, names)
+        left, right = (_check(text, side, names) for side in (node.left, node.right))
+        sign = _OPERATOR_SIGNS[type(node.op)]
+        if sign == "**":
+            power = node.right.value if isinstance(node.right, ast.Constant) else None
+            if left != 1 or not isinstance(power, int) or not 1 <= power <= 6:
+                raise _error_at(text, node.right, "a power must be a whole number from 1 to 6")
+            return 1
+        if sign in "+-" and left != right:
+            raise _error_at(text, node, "one side has three components, the other one")
+        if (sign == "/" and right == 3) or (sign == "*" and left == right == 3):
+            only = "three components can be multiplied or divided by a number only"
+            raise _error_at(text, node, only)
+        return max(left, right)
     if isinstance(node, ast.Call):
         name = node.func.id if isinstance(node.func, ast.Name) else ""
         if name not in ARGUMENT_COUNTS:
@@ -260,30 +253,8 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
     raise _error_at(text, node, f"{type(node).__name__.lower()} is not allowed; allowed are {allowed}")
 
 
-def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> int:
-    """Return the number of components of a binary operation, and add its names to `names`.
-
-    text : text of the whole formula. Raises InputError for an operation that is not allowed.
-    """
-    left, right = (_check(text, side, names) for side in (node.left, node.right))
-    sign = _OPERATOR_SIGNS[type(node.op)]
-    if sign == "**":
-        power = node.right.value if isinstance(node.right, ast.Constant) else None
-        if left != 1 or not isinstance(power, int) or not 1 <= power <= 6:
-            raise _error_at(text, node.right, "a power must be a whole number from 1 to 6")
-        return 1
-    if sign in "+-" and left != right:
-        raise _error_at(text, node, "one side has three components, the other one")
-    if (sign == "/" and right == 3) or (sign == "*" and left == right == 3):
-        raise _error_at(text, node, "three components can be multiplied or divided by a number only")
-    return max(left, right)
-
-
 def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
-    """Return the value of a node of a validated formula, a scalar or a list of three.
-
-    names, functions : values and implementations by name, see `Formula.values`
-    """
+    """Return the value of a node of a validated formula, a scalar or a list of three."""
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name):

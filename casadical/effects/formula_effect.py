@@ -439,10 +439,7 @@ def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
 
 @lru_cache(maxsize=1024)
 def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
-    """Check that a law's formula is allowed and has all its factors. Raises InputError.
-
-    factors : names of its parameters. The result is cached for all stations of a law.
-    """
+    """Check that a law's formula is allowed and has all its factors. Raises InputError."""
     formula = check_formula(text, seam, factors)
     if unused := [name for name in factors if name not in formula.names]:
         raise InputError(f"formula {text!r}: factor {unused[0]!r} is not in it")

@@ -122,10 +122,7 @@ def standard_row_matrix(theta: float, d: float, a: float, alpha: float) -> Array
 
 
 def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
-    """Return the kinematics YAML of the UR driver: link origins [m, rad] at zero joint variables.
-
-    Raises InputError: the nominal robot's twists are more than 3 deg from those of a UR.
-    """
+    """Return the kinematics YAML of the UR driver: link origins [m, rad] at zero variables."""
     twists = np.array([j.alpha for j in nominal.joints])
     ur_links = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
     # Twists alpha [rad] of the rows of a UR robot's DH table, in casadical's convention.
@@ -350,7 +347,6 @@ def robot_to_write(
     robot is calibrated and diagnosed from it, and has the causes found as effects.
 
     source : robot file or problem folder; campaign : CSV of measured poses
-    effects : as of `casadical diagnose`
     Raises InputError, ConvergenceError.
     """
     if campaign is None:
@@ -367,9 +363,7 @@ def _into_users(
 
     nominal : robot file from before the calibration; None: source is it, so that a robot file needs
         a campaign
-    into : the user's MJCF file; joints : names of its joints, separated by commas
-    springs : whether springs are added to the compliant joints; robot : calibrated robot
-    Raises InputError: no robot from before the calibration, or as of `into_mjcf`.
+    springs : whether springs are added to the compliant joints
     """
     if source.is_file() and nominal is None and campaign is None:
         raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
@@ -390,7 +384,6 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     """Return the robot as a URDF (geometry and masses), with the position errors of what it omits.
 
     The user's own URDF is updated where the problem names one; otherwise a new one is written.
-    Raises InputError: `nominal` is given, or effects are omitted and `leave_out` is false.
     """
     if nominal is not None:
         raise InputError("--nominal has no part in a URDF; remove it")

@@ -121,8 +121,6 @@ def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[flo
     Joint variables and conditions are drawn uniformly from the range on which the robot was learnt,
     approach directions from its ends. Where it is unknown, they are drawn from the joint limits,
     both directions, the whole progress, and the declared value of every other condition.
-
-    parameters : names of the parameters
     """
     q, w = _poses(robot)
     without = robot.parameters.values.copy()
@@ -164,8 +162,6 @@ def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
 
     The range is the robot file's; otherwise -1 to 1 for an approach direction, 0 to 1 for progress,
     and the declared value for the rest. An approach direction is either end of its range.
-
-    column : index of the condition in `robot.conditions`
     """
     name, declared = robot.conditions[column], robot.declared[column]
     usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)

@@ -412,7 +412,6 @@ def residuals_figure(
 ) -> Figure:
     """Return the figure of the residuals of each campaign, with one line per robot.
 
-    name : name of the figure
     lives : (name, abscissae, residual sigmas of a coordinate [mm], whether it changed) of each
         robot; robots that changed are red
     step : distance between ticks of the axis; None: automatic
@@ -435,10 +434,7 @@ def residuals_figure(
 
 
 def _as_plain(c: Change, labels: list[str]) -> dict[str, Any]:
-    """Return a change as plain data for the JSON file, with labels in place of campaign indices.
-
-    labels : label of each campaign
-    """
+    """Return a change as plain data for the JSON file, with labels in place of campaign indices."""
     course = [{"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)]
     rivals = [{**plain(r), "since": labels[r.since]} for r in c.rivals if r.probability >= MIN_PROBABILITY_SHOWN]
     between = [labels[k] for k in c.between]

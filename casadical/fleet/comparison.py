@@ -91,7 +91,6 @@ def evidence_of(
 ) -> tuple[LinearModel, list[Hypothesis]]:
     """Return the linear model of all campaigns, and the possible changes, whose columns it has.
 
-    H, b, spread : as of `evidence.model_of_campaigns`
     times : time of each campaign, shape (n,) [years]; dated : whether they come from dates
     """
     each = list(weighted_hypotheses(candidates, evidence.RELATIVE_FREQUENCY, times, dated=dated))
@@ -114,8 +113,6 @@ def shared_information(
 
     The information, score and prior standard deviations are about the values of the first campaign
     (see `evidence.model_of_campaigns`); the candidates are those for changes in these parameters.
-
-    same_tool, same_frame : as of `compare`
     """
     first = campaigns[0]
     same_tool = same_tool and len({c.robot.tool_name for c in campaigns}) == 1
@@ -164,8 +161,6 @@ def changes_in(model: LinearModel, hypotheses: Sequence[Hypothesis]) -> tuple[li
     explanation is the label and probability of the one that was not taken, ("", 0) without one.
     Whether there is any change is decided without another robot: it has so many parameters that a
     change which only it could explain would be a false one.
-
-    model, hypotheses : as of `evidence_of`
     """
 
     def sure(change: Accepted) -> bool:
@@ -255,7 +250,6 @@ def weighted_hypotheses(
     probability.
 
     often : relative frequency of each kind of change, which is divided equally among its candidates
-    times, dated : as of `evidence_of`
     """
     kinds = [c.kind for c in candidates]
     whole = sum(often[kind] for kind in set(kinds))
@@ -270,8 +264,6 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
 
     The weights, (c,), are for each onset; the onsets, (c,), are the first campaigns that show the
     change, from 0; the k factors of the change in each of n campaigns have the shape (c, n, k).
-
-    times, dated : as of `evidence_of`; there is a season only with dates
     """
     n = len(times)
     since = np.arange(1, n)
@@ -305,11 +297,7 @@ def _change(
     first: Estimate,
     swap: tuple[str, float],
 ) -> Change:
-    """Return the accepted change k as a result, with its possible causes, amounts and course.
-
-    first : estimate of the first campaign
-    swap : rival explanation of all changes together: label and probability, as of `changes_in`
-    """
+    """Return the accepted change k as a result, with its possible causes, amounts and course."""
     change = accepted[k]
     share = np.exp(change.masses - np.logaddexp.reduce(change.masses))
     at: dict[tuple[str, Course], list[int]] = {}
@@ -378,8 +366,6 @@ def _detectable_sizes(
     Only joint zeros and joint stiffnesses are listed; the size is in readable units, and infinite
     if it would have to be 30 times the usual one. Accepted changes that only the last campaign
     shows do not count if they share a parameter with it.
-
-    first : estimate of the first campaign
     """
     last = len(model.r) - 1
     for h in hypotheses:
@@ -404,9 +390,6 @@ def _placements(
 
     They are compared with those of the campaign before, where they were fitted again in each: the
     measured point on the flange of a tool of the same name, and the base, unless it did not move.
-
-    names : shared parameters
-    model, columns : linear model, and the indices of the accepted changes' columns in it
     """
     first, (before, after) = campaigns[0], campaigns[-2:]
     fit = Fit(model, columns, 1.0, model.grid.at(0))
@@ -416,7 +399,6 @@ def _placements(
     def between(own: Sequence[str]) -> tuple[Array, Array]:
         """Return the last campaign's values of `own` less those of the one before, with covariance.
 
-        own : names of k parameters that were fitted again in each campaign
         Returns the difference, shape (k,), and its covariance, shape (k, k), both in units of scale
         """
         X, Y = (np.hstack([np.eye(len(names)), moved[k]]) for k in (-2, -1))
@@ -467,10 +449,7 @@ def _refitted(
     They are the mean, (r,), its derivative by u, (r, len(u)), and the covariance given u, (r, r),
     in units of scale.
 
-    own : names of the r parameters; names : names of the p shared ones
-    first : estimate of the first campaign
     X : matrix, shape (p, len(u)); X u are the campaign's shared parameters less those of the first
-    u : posterior mean of the solved variables, see `Fit.x`
     """
     shared, rest, V = c.refitted_given(names)
     G = -V @ c.information[np.ix_(rest, shared)]

@@ -180,8 +180,6 @@ class Fleet(Result):
         """Return the text of a parameter's correction in a type's robot file, as of `correction`.
 
         It is empty if no file was read.
-
-        common : what the robots of the type have in common; name : parameter
         """
         if common.type not in self.drawings:
             return ""
@@ -332,10 +330,7 @@ def name_of_type(names: Sequence[str]) -> str:
 
 
 def _outliers(some: pd.DataFrame) -> list[str]:
-    """Return the names of robots of one type whose error after calibration is an outlier.
-
-    some : rows of robots of one type; logarithms of their errors are compared with their median
-    """
+    """Return the names of robots of one type whose error after calibration is an outlier."""
     logs = np.log(some["after_mm"].to_numpy())
     middle = np.median(logs)
     spread = max(1.4826 * float(np.median(np.abs(logs - middle))), 0.02)
@@ -428,10 +423,7 @@ def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
 
 
 def _apart(heights: Sequence[float], gap: float) -> list[float]:
-    """Return the ordinates of labels, given from the top down, moved so that no two overlap.
-
-    gap : smallest distance between two labels, in the unit of the ordinates
-    """
+    """Return the ordinates of labels, given from the top down, moved so that no two overlap."""
     moved: list[float] = []
     for y in heights:
         moved.append(min(y, moved[-1] - gap) if moved else y)

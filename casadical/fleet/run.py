@@ -111,8 +111,7 @@ def _results_of(place: Path, with_diagnosis: bool) -> dict[str, Any]:
 
     They are those of its calibration, its diagnosis and the comparison of its campaigns.
 
-    place : problem folder; with_diagnosis : whether the robot is diagnosed
-    Raises CasadicalError: its calibration or its first campaign cannot be used.
+    with_diagnosis : whether the robot is diagnosed
     """
     whole = read_problem(place)
     problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts
@@ -315,8 +314,6 @@ def _to_compute(
     if the store has no successful row of its present files. It counts as renamed if the store has
     its files under a name that is no longer given.
 
-    robots : problem folders by name
-    stored_rows : rows of the store, indexed by the robot's name
     with_diagnosis : whether a row without a diagnosis counts as not computed
     """
     prints: dict[str, str] = {}
@@ -352,10 +349,6 @@ def _computed(
     """Yield the store's row of each robot as soon as it is computed on a Dask cluster.
 
     A robot whose process ends three times has a row of status "lost".
-
-    names : robots to compute; robots : problem folders by name
-    scheduler, workers, with_diagnosis : as of `run_fleet`
-    Raises InputError if the scheduler is lost.
     """
     distributed = optional("distributed", MISSING_PACKAGES)
     with client_of(scheduler, workers) as client:

@@ -107,8 +107,6 @@ class _Hypotheses(NamedTuple):
 
         They are factors of the candidate's columns, so that their products are in units of scale;
         for a change that no parameter explains they are displacements [mm].
-
-        kappa : prior standard deviation of the amplitudes, in multiples of the candidate's sizes
         """
         C = inverse_of(self.H[row] + np.diag((kappa * self.candidate.sizes) ** -2.0))
         return np.asarray(C @ self.b[row] + rng.normal(size=(n, len(C))) @ np.linalg.cholesky(C).T)
@@ -382,8 +380,6 @@ class TouchModel:
 
         The function takes displacements of the touched points by changes, shape (n, rows) [mm], and
         returns one sample for each, shape (n, p), in units of scale.
-
-        level : index into `likelihood_terms`
         """
         y, J, P = self._gaussian_model[0], self._evaluated[1], self.likelihood_terms[level][1]
         D, M = daily(self.usual_candidates), self.factor @ self.factor.T

@@ -367,7 +367,6 @@ def _widened_remaining(
 ) -> RemainingErrors | None:
     """Return the remaining errors with the covariance of a correction added to their second moment.
 
-    names : corrected parameters, p of them
     C : covariance of the correction, shape (p, p), in units of scale
     scale : unit of each corrected parameter, shape (p,) [SI]
     """
@@ -412,7 +411,6 @@ def plan_touches(
     """Return the poses that determine usual changes (joint zeros, tool, base) best.
 
     robot : file as `calibrate --out` writes it, or its folder
-    n : number of touches
     noise_mm : standard deviation of a coordinate [mm], to which the unexplained error of the file's
         [remaining] is added; None: that error alone, or 0.1 mm without one
     room : workspace file; None: the robot's joint limits
@@ -448,7 +446,6 @@ def judge_touches(
 
     The points are positions in the measuring frame of the calibration.
 
-    robot : as of `plan_touches`
     tables : touched points, a file per day; the last one is judged (by date, if all have one), the
         others are its history; of more than 30 the last 30 are used
     tolerance_mm : largest rms error over the joint ranges on which the robot was learnt [mm]; None:

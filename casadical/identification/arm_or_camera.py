@@ -285,10 +285,7 @@ class _Model(NamedTuple):
     names: Array
 
     def settled(self, noise: CameraNoise, sigmas: tuple[float, float]) -> ArmOrCamera:
-        """Return the answer with the noise estimated in four rounds (see `refined`).
-
-        noise, sigmas : first estimate, as of `refined`
-        """
+        """Return the answer with the noise estimated in four rounds (see `refined`)."""
         for _ in range(4):  # by then the estimates have converged
             noise, sigmas = self.refined(noise, sigmas)
         return self.answer(noise, sigmas)
@@ -298,8 +295,6 @@ class _Model(NamedTuple):
 
         Prior: probability 0.1, sigmas of 0.5 mm and 1 mrad or of 3 mm and 8 mrad. None with fewer
         than eight poses, or where a frame has parameters that are not free.
-
-        answer : posterior without a step; groups : of the columns of frames, "base" or "tool"
         """
         y, frames, rest = self.whitened(answer.ratios, answer.sigmas)
         Q = np.linalg.qr(frames)[0]
@@ -373,10 +368,7 @@ class _Model(NamedTuple):
         return refined(self.m.view, noise, e, freedom, sigmas)
 
     def answer(self, noise: CameraNoise, sigmas: tuple[float, float]) -> ArmOrCamera:
-        """Return the posterior errors of arm and camera by sampling.
-
-        noise, sigmas : of the camera
-        """
+        """Return the posterior errors of arm and camera by sampling."""
         y, frames, rest = self.whitened(noise, sigmas)
         Q = np.linalg.qr(frames)[0]
         y, rest = y - Q @ (Q.T @ y), rest - Q @ (Q.T @ rest)
@@ -441,10 +433,7 @@ def _share(samples: Array, noise: float) -> Share:
 
 
 def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:
-    """Return s combinations of prior widths (s, k + 4), their log priors, masks of causes (s, 3).
-
-    drawn, widths : as of `_Model`
-    """
+    """Return s combinations of prior widths (s, k + 4), log priors, masks of causes (s, 3)."""
     arms = [
         (0.0, PRIOR_PROBABILITY_OF_NONE),
         *((size, (1 - PRIOR_PROBABILITY_OF_NONE) / len(_DEPARTURE_SIZES)) for size in _DEPARTURE_SIZES),

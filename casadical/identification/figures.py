@@ -289,7 +289,7 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     strong: set[int] = set()
     faint: set[int] = set()
     rows: list[tuple[str, ...]] = []
-    for r in _shown_rows(result):
+    for r in result.shown.to_dict("records"):
         status = "" if r["status"] == "identified" else "AT BOUND" if r["status"] == "at bound" else r["status"]
         determined = status in ("", "AT BOUND")
         if not (determined or whole):
@@ -311,11 +311,6 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     return [table, *([_PLACED_NOTE] if placed else []), *_stiffness_words(result), *summaries]
 
 
-def _shown_rows(result: Identification) -> list[dict[Any, Any]]:
-    """Return the rows of `Identification.shown`, each as a dict by column."""
-    return result.shown.to_dict("records")
-
-
 def _stiffness_words(result: Identification) -> list[Words]:
     """Return a sentence with the joint stiffness [N m/rad]; [] without identified compliance.
 
@@ -324,7 +319,9 @@ def _stiffness_words(result: Identification) -> list[Words]:
     if result.robot.masses == "estimated":
         gives = any(result.start.parameters[name].group == "compliance" for name in result.names)
         return [Words(in_words(result).capitalize())] if gives else []
-    identified = [r for r in _shown_rows(result) if r["status"] == "identified" and r["group"] == "compliance"]
+    identified = [
+        r for r in result.shown.to_dict("records") if r["status"] == "identified" and r["group"] == "compliance"
+    ]
     text = ", ".join(
         f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in identified if r["value"] > 0
     )
@@ -345,7 +342,7 @@ def stiffness(compliance: float, error: float) -> str:
 
 def unidentifiable_table(result: Identification) -> Table | Words:
     """Return the table of the parameters that are not identifiable, with reasons, or a sentence."""
-    rows = [(r["name"], r["reason"]) for r in _shown_rows(result) if r["status"] == "not identifiable"]
+    rows = [(r["name"], r["reason"]) for r in result.shown.to_dict("records") if r["status"] == "not identifiable"]
     if not rows:
         return Words("Every parameter was identified.")
     return Table("Not identifiable: held at nominal", ("parameter", "why"), rows)
@@ -359,9 +356,6 @@ def correlated(result: Identification) -> list[Words]:
 
 
 def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:
-    """Return (name, name, correlation) of pairs of shown parameters, the strongest first.
-
-    above : absolute correlation above which a pair is returned
-    """
+    """Return (name, name, correlation) of pairs of shown parameters, the strongest first."""
     pairs = result.correlations(above)
     return [*pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)].itertuples(index=False)]

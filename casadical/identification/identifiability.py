@@ -95,7 +95,10 @@ def analyse(
     shares, _, _, singular = np.linalg.lstsq(unit[:, columns], unit[:, list(reasons)], rcond=None)
     shares, independent = np.abs(shares[always:]), [names[j - always] for j in independent_columns]
     least = np.maximum(0.05 * shares.max(axis=0, initial=0.0), 1e-6)
-    alike = [_strongest(share, independent, low) for share, low in zip(shares.T, least, strict=True)]
+    alike = [
+        tuple(independent[j] for j in np.argsort(-share)[:6] if share[j] > low)
+        for share, low in zip(shares.T, least, strict=True)
+    ]
     dropped = []
     for (k, why), those in zip(reasons.items(), alike, strict=True):
         name, reason = names[k - always], why
@@ -128,14 +131,6 @@ def _projection_residual(basis: Array, column: Array) -> tuple[float, Array]:
     return norm, residual
 
 
-def _strongest(share: Array, names: Sequence[str], least: float) -> tuple[str, ...]:
-    """Return up to six names whose share exceeds `least`, the largest share first.
-
-    share : of each name, shape (k,)
-    """
-    return tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > least)
-
-
 def drop_poor(
     parameters: Sequence[Parameter], H: Array, variance: float = 1.0
 ) -> tuple[list[int], list[Unidentifiable], Array]:
@@ -147,7 +142,6 @@ def drop_poor(
     parameters : of the first rows of H; further rows are unknown points, which stay
     H : information matrix of all, shape (size, size), the parameters in units of their scale
     variance : of a residual in units of sigma squared
-
     Returns the indices of the remaining parameters, the others with the reason, and the covariance
     of the remaining ones in units of their scale, shape (p, p), points marginalised.
     """
@@ -165,7 +159,8 @@ def drop_poor(
         share = np.abs(covariance[worst] / (errors[worst] * errors))
         share[worst] = 0.0
         # Parameters whose estimates are more correlated than this are named together.
-        partners = _strongest(share, [parameters[k].name for k in tested], 0.9)
+        names = [parameters[k].name for k in tested]
+        partners = tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > 0.9)
         p = parameters[tested[worst]]
         reason = (
             f"these poses determine it only to +/- {p.readable(errors[worst] * p.scale):.3g} {p.readable_unit}, worse "

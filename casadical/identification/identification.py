@@ -430,31 +430,25 @@ def calibrated(
             departure = departure_of(result.problem, solution.v, result.variance, named)
         result = replace(result, departure=departure)
         if departure and (given := departure.priors(start)):
-            result = _with_priors(
-                prepared, result, named, given, weighed=weighed, in_camera=in_camera, progress=progress
+            shrunk = calibrated_without_outliers(
+                replace(prepared, method=None, free=()),
+                result.outliers,
+                result.loss,
+                free=named,
+                priors=given,
+                weighed=weighed,
+                in_camera=in_camera,
+                progress=progress,
             )
+            others = [u for u in judged.unidentifiable if u.name not in named]
+            own = shrunk.identifiability
+            judged = replace(own, unidentifiable=(*own.unidentifiable, *others))
+            result = replace(shrunk, method=result.method, identifiability=judged, departure=departure)
     if not robot.effects:
         return result
     learnt = learnt_from(result, prepared.knowledge)
     learnt = prior.knowledge.joined(learnt) if prior.free else learnt
     return replace(result, robot=replace(result.robot, knowledge=learnt))
-
-
-def _with_priors(
-    prepared: Prepared, free: Identification, names: Sequence[str], priors: AnyPriors, **options: Any
-) -> Identification:
-    """Return the identification of the same poses with priors, after one without.
-
-    free : the identification without priors, of which outliers, loss, and the reasons why
-        parameters not in `names` are unidentifiable are taken over
-    names : of the parameters to identify; options : of `calibrated`
-    """
-    asked = replace(prepared, method=None, free=())
-    shrunk = calibrated_without_outliers(asked, free.outliers, free.loss, free=names, priors=priors, **options)
-    judged = shrunk.identifiability
-    others = (u for u in free.identifiability.unidentifiable if u.name not in names)
-    judged = replace(judged, unidentifiable=(*judged.unidentifiable, *others))
-    return replace(shrunk, method=free.method, identifiability=judged, departure=free.departure)
 
 
 def calibrate_base_model(prepared: Prepared) -> Identification:

@@ -209,9 +209,8 @@ def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]
 def _unexplained_shares(dynamics: Dynamics, states: States) -> Array:
     """Return the share of each joint's torque variance that the model leaves, shape (joints,).
 
-    Variance that friction and an offset explain is removed first (1: the model explains nothing;
-    at least 1e-6).
-    The model's torque is scaled by the best positive factor.
+    Variance that friction and an offset explain is removed first (1: the model explains nothing; at
+    least 1e-6). The model's torque is scaled by the best positive factor.
     """
     model = dynamics.torque(states.q, states.v, states.a)
     shares = np.ones(states.q.shape[1])

@@ -170,10 +170,7 @@ class LeastSquares:
         return [self.robot.parameters[n] for n in self.names]
 
     def _parameter_values(self, what: str) -> Array:
-        """Return an attribute of the p free parameters, shape (p,), in SI units.
-
-        what : name of an attribute of `Parameter`, such as "scale" or "lower"
-        """
+        """Return an attribute of the p free parameters, shape (p,), in SI units."""
         return np.array([getattr(p, what) for p in self._free_parameters])
 
     @cached_property
@@ -217,18 +214,13 @@ class LeastSquares:
         """Mask of the free parameters whose own priors always apply (guesses), shape (p,)."""
         return self._parameter_values("guess").astype(bool)
 
-    @cached_property
-    def _without_priors(self) -> bool:
-        """Whether no prior applies to any variable."""
-        return not (self.priors or self.correlated or self.guesses.any())
-
     def prior_square(self, v: Array, *, counted: bool = False) -> float:
         """Return the squared Mahalanobis distance of the variables v from the priors' mean.
 
         counted : True includes only the priors that count as information: not the robot's own
             ones of base and tool
         """
-        if self._without_priors:
+        if not (self.priors or self.correlated or self.guesses.any()):
             return 0.0
         departure = np.where(self._informed, v - self.prior_mean, 0.0) if counted else v - self.prior_mean
         return float(departure @ self.prior_matrix @ departure)
@@ -364,7 +356,7 @@ class LeastSquares:
     def _gradient(self, v: Array) -> tuple[Array, Array]:
         """Compute `gradient` at v from the sums over all residuals and the priors."""
         sums = self._sums(v)
-        if self._without_priors:
+        if not (self.priors or self.correlated or self.guesses.any()):
             return sums.gradient, sums.information
         P = self.prior_matrix
         return sums.gradient + P @ (v - self.prior_mean), sums.information + P

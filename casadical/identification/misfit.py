@@ -70,10 +70,7 @@ class _Poses:
     """
 
     def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...], max_cached: int) -> None:
-        """Prepare the poses of an identification, evaluated at once if they are at most `max_cached`.
-
-        robot : calibrated, with joint harmonics; names : parameters by which Jacobians are taken
-        """
+        """Prepare the poses of an identification, evaluated at once if at most `max_cached`."""
         self.q = np.concatenate([m.q for m in found.used])
         self.joints = sum(name.startswith("theta") for name in names)
         self.count = sum(m.q.shape[0] * find_kind(m.kind).numbers for m in found.used) - 3 * len(found.unknown_points)
@@ -184,9 +181,6 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
     """Yield residuals and Jacobians of the used poses, some at a time, at the identified values.
 
     Where points are unknown, all poses come at once, for several of them may share a point.
-
-    robot : calibrated, with joint harmonics; names : parameters by which Jacobians are taken
-    Raises InputError for given distances between touched points.
     """
     sets = [m.positions_alone() if m.kind == "position_covariance" else m for m in found.used]
     if any(m.separations for m in sets):
@@ -247,8 +241,6 @@ def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
 
     All joints have the same ratio. The search walks along the grid from its middle to the first
     ratio that is more probable than both neighbours.
-
-    doubts : parameters with their priors
     """
     tried: dict[int, _Fit] = {}
     best, at = -1, len(REPEATABILITY_RATIOS) // 2
@@ -335,7 +327,6 @@ def _misfit_factor(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: fl
     independent noise of variance s2 would give. The largest factor of all partitions is taken, less
     two standard deviations of chance.
 
-    of_parts : for each partition of the poses the normal equations of its parts
     mean, variance : posterior mean and prior variance of the parameters, (k,); s2 : [mm^2]
     """
     whole = reduce(NormalSums.plus, of_parts[0])

@@ -142,8 +142,6 @@ class PlacementProblem:
 
         The variables are a small rotation in the measuring frame [rad], a shift [m] and the tool
         [m]. Residuals are in units of 3 mm; more than 30 poses have the weight of 30.
-
-        at : estimate at which the problem is linearised
         """
         H, g, square = np.zeros((9, 9)), np.zeros(9), 0.0
         total = sum(len(r.p) for r in self.readings)
@@ -337,10 +335,7 @@ def _with_targets(robot: Robot, m: Measurements) -> Robot:
 
 
 def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
-    """Return the model's flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame.
-
-    T_M0 : base frame in the measuring frame, which determines the direction of gravity
-    """
+    """Return flange positions (n, 3) [m] and orientations (n, 3, 3) of the model in the base frame."""
     turn = np.linalg.inv(robot.base.T) @ T_M0
     values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
     values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))

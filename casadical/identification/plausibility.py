@@ -63,7 +63,15 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
     if faults := [fault for m in sets for fault in _out_of_range(robot, m)]:
         raise FaultsError(faults)
     for m in sets:
-        _refuse_payload(robot, m)
+        links = sum(joint.body.mass for joint in robot.joints if joint.body)
+        loads = m.conditions.get("payload_kg", np.zeros(1))
+        if links and robot.masses == "declared" and loads.max() > MAX_PAYLOAD_OF_ARM_MASS * links:
+            value = f"{loads.max():.6g} kg"
+            allowed = f"up to {MAX_PAYLOAD_OF_ARM_MASS * links:.6g}, of an arm of {links:.6g} kg"
+            rows = tuple(map(int, m.row[loads > MAX_PAYLOAD_OF_ARM_MASS * links]))
+            raise FaultsError(
+                [Fault(m.source, rows, "payload_kg", value, "is too heavy", allowed, "are these grams? give kg")]
+            )
         refuse_undefined(robot, m)
         _refuse_implausible(robot, m)
 
@@ -92,22 +100,6 @@ def undefined(robot: Robot, m: Measurements, bad: Array) -> InputError:
         f"{m.source}: row {m.row[np.argmax(bad)]}: the model{words} gives no finite number there{such}; change the "
         "effect so that it does (does it divide by what may be zero?), or leave the rows out"
     )
-
-
-def _refuse_payload(robot: Robot, m: Measurements) -> None:
-    """Raise FaultsError for payloads so much heavier than the arm that they are not in kilograms.
-
-    Only an arm with declared masses is checked.
-    """
-    links = sum(joint.body.mass for joint in robot.joints if joint.body)
-    loads = m.conditions.get("payload_kg", np.zeros(1))
-    if links and robot.masses == "declared" and loads.max() > MAX_PAYLOAD_OF_ARM_MASS * links:
-        value = f"{loads.max():.6g} kg"
-        allowed = f"up to {MAX_PAYLOAD_OF_ARM_MASS * links:.6g}, of an arm of {links:.6g} kg"
-        rows = tuple(map(int, m.row[loads > MAX_PAYLOAD_OF_ARM_MASS * links]))
-        raise FaultsError(
-            [Fault(m.source, rows, "payload_kg", value, "is too heavy", allowed, "are these grams? give kg")]
-        )
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
@@ -315,8 +307,6 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
     """Return first and last row number of each run of rows in another unit.
 
     Each run is grown row by row from a part in which the fault was found.
-
-    parts : first and last row number of these parts
     """
     by_row, (p, _) = _by_row(m), predicted(robot, m)
     rows = m.row[by_row]
@@ -326,10 +316,7 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
         def in_other_unit(k: int, few: Array = few) -> bool:
-            """Return whether a pose next to a faulty part is in another unit, too.
-
-            k : place of the pose in `by_row`; few : places of sample poses of the part
-            """
+            """Return whether a pose next to a faulty part is in another unit, too."""
             # The row is repeated to outweigh the others, for faults that a median shows.
             which = by_row[[*few, *[k] * (len(few) + 1)]]
             return bool(_unit_fault(robot, m, p, which))

@@ -174,8 +174,7 @@ def _prior_size_factors(whole: LeastSquares, v: Array, variance: float, given: R
     parameters, another for base and tool. It is 1 where a covariance from another campaign applies,
     for effects, and for unknown points.
 
-    whole : problem with all uncertain parameters; v : its variables at the optimum
-    variance : of a residual in units of sigma squared; given : the robot as its file has it
+    variance : of a residual in units of sigma squared
     """
     own = [whole.robot.parameters[n] for n in whole.names]
     effects = {p.name for e in whole.robot.effects for p in e.parameters()}
@@ -216,8 +215,7 @@ def _data_information(whole: LeastSquares, v: Array, variance: float, unit: Arra
 
     Both are without the priors, of all variables in units of `unit`.
 
-    v : variables at which the problem is linearised; variance : of a residual in units of sigma
-        squared
+    variance : of a residual in units of sigma squared
     unit : of each variable, as a multiple of the problem's own unit, shape (size,)
     """
     g, H = whole.gradient(v)

@@ -223,10 +223,8 @@ def _widened_covariance(
 ) -> Array:
     """Return the prior covariance of a campaign from that of an earlier one, shape (k, k) [SI].
 
-    block : covariance of the earlier one; scales : scale of each parameter [SI]
+    scales : scale of each parameter [SI]
     variance_factor : factor on that covariance
-    change_share : standard deviation of a change in between, as a share of each parameter's scale
-    Raises InputError for a variance of zero.
     """
     variances = np.diag(block.matrix)
     if not (variances > 0).all():
@@ -237,10 +235,7 @@ def _widened_covariance(
 
 
 def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
-    """Return the effects of the other robot that `parts` names, in its order.
-
-    parts : as of `carry_over`. Raises InputError for an unknown name, and for no effect but "all".
-    """
+    """Return the effects of the other robot that `parts` names, in its order."""
     lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
     effects = lasting if {"effects", "all"} & set(parts) else []
     for word in parts:
@@ -386,7 +381,6 @@ def _posterior(
 
     eigen : eigenvalues and eigenvectors of the geometry's information, in units of scale and sigma
     product : J'r with its Jacobian J and the residuals r with nominal geometry, shape (p,)
-    square, count : sum of squares and degrees of freedom of r
     sigma : standard deviation of a residual by the fit without a prior, in units of sigma
     """
     value, projected = np.maximum(eigen[0], 0.0), eigen[1].T @ product

@@ -55,8 +55,6 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima:
 
     Sigmas matter with a robust loss, priors, or numbers of several accuracies; those that the
     measurements declare are used as declared. Returns as `reduce_and_solve`.
-
-    optima : start points by variables, to which the optima found here are added
     """
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
@@ -81,8 +79,6 @@ def _in_camera(
     """Return the sets and their sigmas with the noise of camera poses estimated from residuals.
 
     Sets without such noise, or with too few degrees of freedom, are unchanged.
-
-    sigmas : of each set as estimated; declared ones are not changed
     """
     sets, result = list(problem.sets), list(sigmas)
     for k, (m, (r, freedom)) in enumerate(
@@ -196,7 +192,6 @@ def solve_by_auto(
     """Solve with the huber loss where that finds outliers, else with the problem's linear loss.
 
     Returns what `reduce_and_solve` returns, and the outliers as (set, pose) indices.
-
     rounds : maximum number of rounds in which outliers are excluded; 0: the loss stays linear
     """
     try:
@@ -216,8 +211,6 @@ def solve_by_auto(
 
 def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
     """Return whether the huber loss would surely find no outliers, without solving with it.
-
-    solution : with the linear loss
 
     Residuals are linearised about the fit with the linear loss. False where that fit has few data,
     is at a bound, or has a residual or a scatter that is too large: the huber loss may then have
@@ -391,8 +384,6 @@ def _with_visible(
 
     They had none at the start, or tilt the pedestal of a robot that is `weighed`. The point v in
     the extended problem is returned too; None if there is no such parameter.
-
-    found : verdict on the parameters at the start; order : names of all parameters, in their order
     """
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
@@ -420,10 +411,7 @@ def _with_visible(
 def _with_added_parameters(
     problem: LeastSquares, v: Array, more: set[str], order: Sequence[str]
 ) -> tuple[LeastSquares, Array]:
-    """Return the problem with additional free parameters, and the point v in it.
-
-    more : names of the added parameters, which are at their nominal values; order : of all names
-    """
+    """Return the problem with additional free parameters, and the point v in it."""
     names = [n for n in order if n in more or n in problem.names]
     own = np.zeros(len(names))
     own[[names.index(n) for n in problem.names]] = v[: len(problem.names)]
@@ -441,7 +429,6 @@ def _poorly_determined(
     """Return the parameters with a standard error at v above their prior's, each with the reason.
 
     variance : of a residual in units of sigma squared
-    of_data : names of parameters whose own priors do not reduce their standard error
     """
     H = problem.gradient(v)[1].copy()
     at = [k for k, name in enumerate(problem.names) if name in of_data]

@@ -228,8 +228,6 @@ class Block:
         """Yield the residuals of some poses at a time, shape (n, m), in units of sigma.
 
         Compiled code of both is faster than CasADi's interpreter for the residual alone.
-
-        x, u : as of `evaluate`
         """
         both, value = self.kernel.residual, self.kernel.value
         function = both if getattr(both, "is_compiled", False) else value
@@ -237,10 +235,7 @@ class Block:
             yield r.T
 
     def _called(self, function: Any, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
-        """Yield a slice of poses and a kernel function's outputs there, the poses as last axis.
-
-        x, u : as of `evaluate`
-        """
+        """Yield a slice of poses and a kernel function's outputs there, the poses as last axis."""
         shared = np.concatenate([x, self.robot])
         for start in range(0, len(self.group), MAX_CHUNK_POINTS):
             some = slice(start, min(start + MAX_CHUNK_POINTS, len(self.group)))

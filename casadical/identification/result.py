@@ -274,8 +274,6 @@ class Identification(Result):
 
         A column is named if it is the only one of which a change alone leaves no more than noise.
         It is searched for measured positions only, and for the first 20 outliers.
-
-        poses : indices of the outliers in m
         """
         if not len(poses):
             return []

@@ -134,10 +134,7 @@ def not_shared(sets: Sequence[Measurements]) -> str:
 
 
 def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
-    """Return the poses in any of these sessions of the first position set that has such; else None.
-
-    inside : False takes the poses that are in none of the sessions
-    """
+    """Return the poses in any of these sessions of the first position set with such; else None."""
     for m in (m for m in sets if m.position is not None):
         flags = sum((m.conditions.get(e.column, np.zeros(len(m))) for e in sessions), np.zeros(len(m)))
         if len(rows := np.flatnonzero((flags > 0) == inside)):

@@ -272,7 +272,6 @@ def minimise(
     start : first point, shape (size,); None: zero
     progress : called with iteration number and cost
     settled : v -> whether v, at which convergence is slow, is the optimum; None: no such test
-
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
     # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB, and is built fast.

@@ -231,9 +231,8 @@ class Columns:
     def _as_stations(self) -> Columns:
         """Return the columns with a row for each station, where each row was a corner in an image.
 
-        Rows one after the other with equal joint readings are of one station, which has the row of its first corner;
-        the column `corners` has their number. Raises InputError: a cell is no number, a station has
-        fewer than MIN_CORNERS, or the board is not flat.
+        Rows one after the other with equal joint readings are of one station, which has the row of
+        its first corner; the column `corners` has their number.
         """
         flat = not {"board_z_mm", "board_z_m"} & {*self.table}
         of_board = [self.si(f"board_{c}", ("_mm", "_m")) for c in ("xy" if flat else "xyz")]

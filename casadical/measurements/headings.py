@@ -113,7 +113,6 @@ def _meaning(
 
     Slot and quantity are as of `Heading`.
 
-    said : those that are neither "measured" nor "nominal"
     named : words of each joint's name, and its number, from 1
     """
     starts = range(len(words))

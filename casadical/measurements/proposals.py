@@ -169,8 +169,7 @@ def understand(
     def decide(options: _Options, which: str, about: str = "", ask: bool = False) -> None:
         """Add the columns of the only possible meaning and unit; with several, add a question.
 
-        which : the question, if more than the unit is open; about : as of `Question`; ask :
-            whether it is asked for a single option, too
+        ask : whether it is asked for a single option, too
         """
         choices = _choices(options, stated, which if ask else "")
         if len(choices) == 1 and not ask:
@@ -228,24 +227,21 @@ def understand(
         columns = [replace(c, why="order of the columns") for c in columns]
     if seen and not without_readings:  # with our own names, only headings with a unit count
         headings = [h for h in headings if h.unit]
-    columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours), *_approaches(raw, ours)]
+    columns += [*_logged_quantities(headings, ours), *_words_of_rows(raw, ours)]
     return Understanding(tuple(columns), tuple(questions))
 
 
-def _conditions(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Yield temperature and payload, each if exactly one heading names it."""
+def _logged_quantities(headings: Collection[Heading], ours: Collection[str]) -> Iterator[Understood]:
+    """Yield temperature and payload, each if exactly one heading names it, and the column time_s.
+
+    The time is named by one heading, or by two with its seconds and nanoseconds. The unit of time
+    stamps without one follows from their size.
+    """
     for quantity, (name, unit) in CONDITION_COLUMNS.items():
         named = [h for h in headings if h.quantity == quantity and not h.rest and UNITS.get(h.unit, (unit,))[0] == unit]
         if len(named) == 1 and name not in ours and np.isfinite(named[0].values).all():
             factor = UNITS.get(named[0].unit, ("", 1.0))[1]
             yield Understood(name, Source(named[0].name, factor), named[0].unit or unit, "heading")
-
-
-def _times(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Yield the column time_s, if one heading names the time, or two its seconds and nanoseconds.
-
-    The unit of time stamps without one follows from their size.
-    """
     named = [h for h in headings if h.quantity == "time" and not h.rest and UNITS.get(h.unit, ("s",))[0] == "s"]
     named = [h for h in named if np.isfinite(h.values).all()]
     fine = [h for h in named if UNITS.get(h.unit, ("", 1.0))[1] == 1e-9]
@@ -258,10 +254,11 @@ def _times(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Under
         yield Understood("time_s", Source(whole[0].name, factor, add=add), whole[0].unit or "s", "heading")
 
 
-def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
-    """Yield the column `tool` if a column of words names the measured target of each row.
+def _words_of_rows(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
+    """Yield the column `tool`, and the directions from which joints approached a pose.
 
-    Its heading has a word for a target, and it has few names, each at six poses or more on average.
+    The column of a measured target's name has a word for a target in its heading, and few names,
+    each at six poses or more on average; directions of approach are found by their headings.
     """
     for name in raw.header:
         words = set(words_of(name)[0])
@@ -270,15 +267,11 @@ def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
             # A target has at least six poses on average; otherwise the names are remarks.
             if len(cells) == len(raw.frame) and 1 < cells.nunique() <= len(cells) / 6:
                 yield Understood("tool", Source(name), "", "heading")
-                return
-
-
-def _approaches(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
-    """Yield the columns with the direction from which joints approached a pose, by their headings."""
+                break
     for name in raw.header:
-        words = words_of(name)[0]
-        numbers = [w for w in words if w.isdecimal()]
-        if {*words} & WORDS["approach"] and len(numbers) == 1 and f"approach{int(numbers[0])}" not in ours:
+        said = words_of(name)[0]
+        numbers = [w for w in said if w.isdecimal()]
+        if {*said} & WORDS["approach"] and len(numbers) == 1 and f"approach{int(numbers[0])}" not in ours:
             yield Understood(f"approach{int(numbers[0])}", Source(name), "", "heading")
 
 
@@ -347,10 +340,6 @@ def _joints(
 
     Groups with the fewest missing free joints are returned, if more than half of these joints are
     present; of equal ones those whose headings are plain and of the preferred qualifier.
-
-    n : number of joints; free : numbers of those that need a reading, as they follow no other
-    own : numbers of joints with readings under casadical's own names, which are omitted; with any,
-        only headings that are names of joints count for the others
     """
     groups: dict[tuple[str, frozenset[str]], dict[int, Heading]] = {}
     for h in sorted(headings, key=lambda h: h.led is not None):  # a joint's own column ranks first
@@ -379,10 +368,7 @@ def _joints(
 
 
 def _parts_of(group: Mapping[int, Heading], chain: Sequence[Joint]) -> _Parts:
-    """Return the readings of revolute and of prismatic joints, and of leaders, as separate parts.
-
-    group : number of a joint -> its column
-    """
+    """Return readings of revolute joints, of prismatic ones, and of leaders, as separate parts."""
     parts: dict[str, tuple[list[Heading], list[str]]] = {}
     for i, heading in group.items():
         members, names = parts.setdefault(heading.led[1] if heading.led else chain[i - 1].kind, ([], []))

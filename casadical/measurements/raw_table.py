@@ -78,7 +78,6 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
     data : content of the file, if it was read already
     keep_text : whether the text of the cells is needed; without it, plain numbers under one line of
         headings are read in a tenth of the time
-
     Raises InputError that names the file, and the row where one is wrong: no such file, neither
     text nor a workbook, a name twice in the header, no rows, too many numbers, or a row with more
     cells than the header.
@@ -168,10 +167,7 @@ def _plain(path: Path, data: bytes) -> RawTable | None:
 
 
 def _parquet(path: Path, data: bytes) -> RawTable:
-    """Return the table of a Parquet file, its rows numbered as in a text file, from 2 on.
-
-    data : content of the file. Raises InputError: it is unreadable, too large or empty.
-    """
+    """Return the table of a Parquet file, its rows numbered as in a text file, from 2 on."""
     parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[logs]'")
     with (
         reading.foreign(f"{path}: not a readable table", "write it again"),
@@ -192,8 +188,7 @@ def _parquet(path: Path, data: bytes) -> RawTable:
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
     """Return a workbook's sheet with the most numbers: its CSV text, "workbook", and its name.
 
-    The lines of the CSV are the rows of the sheet. Raises InputError: it is unreadable or too
-    large.
+    The lines of the CSV are the rows of the sheet.
     """
     needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
     openpyxl = optional("openpyxl", needed)
@@ -230,11 +225,7 @@ def _cell(value: Any) -> str:
 
 
 def _table_of(path: Path, records: list[table_form.Record], encoding: str, separator: str, sheet: str) -> RawTable:
-    """Return the table in the records (lines as cells) of a text: headings, units, rows, comments.
-
-    encoding, separator, sheet : form of the file. Raises InputError: it has no rows, a row has more
-    cells than the headings, or two headings are equal.
-    """
+    """Return the table in the records (lines as cells) of a text."""
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
     comments = [(line, cells) for line, cells in records if table_form.commented(cells)]
@@ -335,11 +326,7 @@ def _names_in(cells: Sequence[str]) -> int:
 
 
 def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
-    """Return headings that occur twice, and others of their groups, preceded by those of the groups.
-
-    lines : lines above, in which a group's heading stands over its first column or over each; lines
-        that do not tell columns of one name apart, such as those of a type, are not used
-    """
+    """Return headings that occur twice, and others of their groups, preceded by the groups'."""
     groups = [""] * len(names)
     again = [k for k, name in enumerate(names) if name.strip() and list(names).count(name) > 1]
     for cells in lines:

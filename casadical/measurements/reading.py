@@ -128,7 +128,16 @@ def from_columns(
         extra={name: values for name, values in arrays.items() if name not in FIELDS},
         **{name: values for name, values in arrays.items() if name in FIELDS},  # type: ignore[arg-type]
     )
-    return _without_copies(m)
+    # The measurements without rows that repeat an earlier one to the last digit.
+    hashes = _hashes(_numbers(m))
+    alike = np.flatnonzero(pd.Series(hashes).duplicated(keep=False))
+    if not len(alike):
+        return m
+    some = np.concatenate([values[alike].astype(float) for values in _numbers(m)], axis=1)
+    copied = np.setdiff1d(alike, alike[np.unique(some, axis=0, return_index=True)[1]])
+    if not len(copied):
+        return m
+    return replace(m[np.setdiff1d(np.arange(len(m)), copied)], copies=tuple(m.row[copied].tolist()))
 
 
 def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
@@ -196,23 +205,6 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
     positions = [f"{c}{unit}" for c in "xyz" for unit in ("_mm", "_m")]
     table = columns.table.drop(columns=positions, errors="ignore")
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
-
-
-def _without_copies(m: Measurements) -> Measurements:
-    """Return the measurements without rows that repeat an earlier one to the last digit.
-
-    Joint variables and observations are compared, not logged columns. Such rows are copies, no
-    repeated measurements; they are listed in `copies`.
-    """
-    hashes = _hashes(_numbers(m))
-    alike = np.flatnonzero(pd.Series(hashes).duplicated(keep=False))
-    if not len(alike):
-        return m
-    some = np.concatenate([values[alike].astype(float) for values in _numbers(m)], axis=1)
-    copied = np.setdiff1d(alike, alike[np.unique(some, axis=0, return_index=True)[1]])
-    if not len(copied):
-        return m
-    return replace(m[np.setdiff1d(np.arange(len(m)), copied)], copies=tuple(m.row[copied].tolist()))
 
 
 def _numbers(m: Measurements) -> list[Array]:

@@ -132,7 +132,6 @@ def _sources(
     """Return the given candidates, shape (N, joints), and the workspace with the given limits.
 
     The candidates are None where they are to be drawn. among : as of `select_poses`
-    Raises InputError.
     """
     if isinstance(among, Workspace):
         if workspace is not None:
@@ -334,8 +333,6 @@ def select_with_places(
     expected error does not decrease; for sockets each are chosen once.
 
     n : number of poses to choose
-    kind, places, count, surveyed : as of `place_instrument`
-    workspace, free, noise, seed, options : as of `select_poses`
     """
     best: Selection | None = None
     q = None

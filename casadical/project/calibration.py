@@ -394,6 +394,7 @@ def calibrate(
     problem, corrected = _without_camera_errors(problem)
     results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
     used = used_poses(problem, results)
+    sets = error_groups(used).items()
     trained = None
     if problem.networks:
 
@@ -407,7 +408,6 @@ def calibrate(
             problem, sets={k: tuple(next(inlier_sets) for _ in parts) for k, parts in problem.sets.items()}
         )
         trained = train_networks(inliers, skcm, names, seed=problem.seed, show=progress)
-    sets = error_groups(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
     alone = accuracy_without_prior(plain, results, used) if plain else None
     return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show), corrected)
@@ -444,8 +444,6 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     Where the robot file declares no compliance and the data show none, SKCM is omitted if another
     method is left and no networks learn its residual. With a later refit to all poses, compliance
     that only all poses show counts, too.
-
-    count : number of parts of the work, for the progress
     """
     robot, sets, (*others, last) = problem.robot, problem.sets["identify"], problem.methods
     priors: AnyPriors = "auto" if problem.geometry_prior else False

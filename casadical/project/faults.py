@@ -31,7 +31,6 @@ Read = TypeVar("Read")
 def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False) -> InputError:
     """Return the error at which a command ended, joined with those of all other given files.
 
-    error : the error
     paths : problem folders, robot files and tables; joint logs, and tables that take long to read,
         are not checked
     later : whether rows with a cell that is no number are removed from given tables, and a folder's

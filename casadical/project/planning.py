@@ -369,7 +369,6 @@ def iso9283_plan(path: Path, cube_mm: float | None, room: Path | None, seed: int
     """Return instructions for a test by ISO 9283, and the table of its poses to be filled in.
 
     path : problem folder, robot file or folder of results
-
     cube_mm : side of the test cube; None: the largest that fits
     room : file of a workspace
     Raises InputError.

@@ -410,7 +410,6 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     """Return a table's columns under casadical's names, without rows in `leave_out`.
 
     Headings are interpreted as `data` declares, else by themselves and by the nominal robot.
-    Raises InputError where a question remains open.
     """
     raw = long(raw, [name for name, _ in columns_used(data.sources)])
     meaning = understood(raw, robot, data.sources, data.kind)
@@ -425,10 +424,7 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
 
 
 def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple[Measurements, dict[str, Measurements]]:
-    """Return all poses of one [[measurements]], and its split into sets by name.
-
-    Raises InputError for a table that cannot be used.
-    """
+    """Return all poses of one [[measurements]], and its split into sets by name."""
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
@@ -453,11 +449,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
-    """Return the measurements with the derived columns on which the robot's effects depend.
-
-    Raises InputError where a column that they, or a logged gravity, need is missing, and at a row
-        where the effects give no finite position.
-    """
+    """Return the measurements with the derived columns on which the robot's effects depend."""
     if robot.gravity_frame == "logged" and not {*GRAVITY_COLUMNS} <= m.conditions.keys():
         raise InputError(
             f'{m.source}: robot {robot.name!r} stands on what tilts ([gravity] frame = "logged"), and no columns say '

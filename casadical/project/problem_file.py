@@ -459,7 +459,6 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
     columns it has, else only by kind and noise that all of them share.
 
     folder : of the problem
-    raw : table
     tables : declarations of the problem's own tables
     """
     for data in tables:

@@ -58,10 +58,7 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
 
 
 def _measured_instead(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
-    """Return the meaning with measured coordinates in place of computed ones, if the table has both.
-
-    given : casadical's column name -> declared source; found : meaning of all columns
-    """
+    """Return the meaning with measured coordinates, not computed ones, if the table has both."""
     computed_ones = [c for c in found.columns if re.fullmatch("[xyz]_mm?", c.ours)]
     question = points(raw, [c.source.name for c in computed_ones]) if computed_ones and not found.questions else None
     if question is None:
@@ -83,8 +80,6 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
     that of the robot, its frames placed to fit. A choice is taken where the error is small and that
     of all interpretations with another choice at least MIN_ERROR_RATIO_TO_OTHERS times as large.
     Where not, the choices of questions with a topic are ordered, the best fit first.
-
-    given : casadical's column name -> declared source; found : meaning with the open questions
     """
     questions = found.questions
     if not questions or math.prod(len(q.choices) for q in questions) > 2000:
@@ -165,10 +160,7 @@ def _total(robot: Robot, error: tuple[float, float]) -> float:
 
 
 def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
-    """Return the measurements of a table's complete rows, read with these column sources.
-
-    sources : casadical's column name -> its source
-    """
+    """Return the measurements of a table's complete rows, read with these column sources."""
     columns = with_coupled(Columns.of_file(raw).mapped(sources), robot)
     return of_tool(from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints]), robot)
 

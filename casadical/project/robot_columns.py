@@ -210,8 +210,6 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
     """Return a sentence for each target or session that the set identify lacks, with a remedy.
 
     No fitted pose then determines its point, or its base and tool.
-
-    sets : set -> its measurements
     """
     fitted = {name for m in sets.get("identify", ()) for name in names_in(m) if m.conditions[f"tool_{name}"].any()}
     faults = []

@@ -370,7 +370,6 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
     """Return name of a target -> its point and its rows, as positions show; {} for a single target.
 
     Points are in the last link's frame, shape (3,) [m]; rows are indices.
-    Raises InputError where repeats show targets that the model does not distinguish.
     """
     alone = replace(robot, targets=(), tool_name="")
     if (targets := recognised(alone, m)) and targets.turning:

@@ -92,8 +92,7 @@ class Dynamics:
     def torque(self, q: Array, v: Array, a: Array, pi: Array | None = None, gravity: Array | None = None) -> Array:
         """Return the torques tau of the drives against inertia and weight, (N, n) [N m or N].
 
-        q, v, a : as of `regressor`; pi : inertial parameters, shape (11 n,) [SI], by default
-            `values`
+        pi : inertial parameters, shape (11 n,) [SI], by default `values`
         gravity : in the base frame, shape (3,) [m/s^2], by default the robot's
         """
         g = self.gravity if gravity is None else gravity
@@ -227,7 +226,6 @@ def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunc
     """Return the function from N states (q, v, a), (3 n, N), to [Y], (n, 11 n N), or [tau], (n, N).
 
     Shared inputs are pi (torque only), the robot's parameters, and gravity in its base frame.
-    what : "regressor" or "torque"
     """
     point, geometry, gravity, Y = _expressions(structure, couplings)
     pi = ca.SX.sym("pi", Y.shape[1] if what == "torque" else 0)

@@ -124,11 +124,7 @@ class CovarianceTable(TomlTable):
 
 
 def _triangle_in(path: Path, name: str, count: int) -> Array:
-    """Return the lower triangle of a covariance from an NPZ file, shape (count,) [SI].
-
-    name : of the array, which is that of the covariance's first parameter
-    Raises InputError: no such file, not readable, or no such array of `count` numbers.
-    """
+    """Return the lower triangle of a covariance from an NPZ file, shape (count,) [SI]."""
     if not path.is_file():
         raise InputError(
             f"file = {path.name!r}: is not in the folder of the robot file; the covariance that was written with the "
@@ -204,7 +200,6 @@ def knowledge_of(
     names : of the robot's parameters, which all names in covariances must be among
     errors : parameter -> standard error given next to its value [SI]; one that is in no covariance
         makes a block of its own, one in a covariance must agree with it
-    folder : of the file
     Raises InputError that names the key.
     """
     parts = []
@@ -274,8 +269,6 @@ def large_covariances(knowledge: Knowledge | None, reproducible: bool) -> bytes:
 
     Each is an array of the lower triangle row by row, named by its first parameter [SI]. Where
     there is none, no bytes are returned.
-
-    reproducible : as of `to_toml`
     """
     triangles: dict[str, Array] = {}
     for block in (knowledge or Knowledge()).covariance:
@@ -293,10 +286,7 @@ def large_covariances(knowledge: Knowledge | None, reproducible: bool) -> bytes:
 
 
 def _triangle(block: Covariance, reproducible: bool) -> Iterator[list[float]]:
-    """Yield the lower triangle of a covariance [SI], row by row, rounded as a text has it.
-
-    reproducible : as of `to_toml`
-    """
+    """Yield the lower triangle of a covariance [SI], row by row, rounded as a text has it."""
     sizes, digits = _sizes_and_digits(block)
     for i, row in enumerate(block.matrix):
         if reproducible and digits < COVARIANCE_DIGITS:
@@ -322,7 +312,6 @@ def _effect_lines(
     """Yield the TOML lines of one effect's table with its values.
 
     values, errors : parameter -> value (0 if missing) and standard error [SI]
-    reproducible : as of `to_toml`
     """
     yield from ("", "[[effect]]", *_entries(effect.to_dict()), "[effect.values]")
     for name, (_, unit) in effect.sizes().items():

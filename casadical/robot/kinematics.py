@@ -175,18 +175,10 @@ def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> lis
     """
     own = list(actuated)
     sides = assembly_sides(arm)
-    for k in _from_base(arm):
+    for k in sorted(range(1, len(arm.loops) + 1), key=lambda k: arm.loops[k - 1].driven):
         angles = loop_angles(arm.loops[k - 1], actuated, own, values)
         own[arm.loops[k - 1].driven - 1] = _driven(arm, k, angles, sides[k], values)
     return own
-
-
-def _from_base(arm: Arm) -> list[int]:
-    """Return the numbers of the loops (1-based), those nearer to the base first.
-
-    A loop may be mounted on a link that another drives.
-    """
-    return sorted(range(1, len(arm.loops) + 1), key=lambda k: arm.loops[k - 1].driven)
 
 
 def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, values: Values) -> Symbolic:
@@ -211,7 +203,7 @@ def assembly_sides(arm: Arm) -> dict[int, int]:
     middle = [0.5 * (j.lower + j.upper) for j in arm.joints]
     nominal = {p.name: p.value for p in parameters_of(arm)}
     own, sides = list(middle), {}
-    for k in _from_base(arm):
+    for k in sorted(range(1, len(arm.loops) + 1), key=lambda k: arm.loops[k - 1].driven):
         loop, bars = arm.loops[k - 1], loop_bars(arm, k, nominal)
         crank, ground = angles = loop_angles(loop, middle, own, nominal)
         if not float(loop_margin(ca.DM(crank), ca.DM(ground), bars)) > MIN_LOOP_MARGIN:

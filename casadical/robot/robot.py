@@ -335,10 +335,7 @@ class Robot(Shown, Arm):
         return np.asarray(self._bare_torques(q, conditions).T / self.torque_scale)
 
     def _bare_torques(self, q: Array, conditions: Mapping[str, Array]) -> Array:
-        """Return gravity torques of the model without effects, shape (joints, n) [N m or N].
-
-        q, conditions : as of `loads`
-        """
+        """Return gravity torques of the model without effects, shape (joints, n) [N m or N]."""
         bare = self.with_only(())
         w = np.tile(bare.declared, (len(q), 1))
         for k, name in enumerate(bare.conditions):

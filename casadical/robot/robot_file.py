@@ -204,8 +204,6 @@ def _without_rounding_digits(key: str, value: Any) -> Any:
     """Return a value of the file, floats rounded to digits that no processor's rounding changes.
 
     Lists and tables are rounded entry by entry.
-
-    key : of the value; its ending states the unit, which decides on the decimals
     """
     if isinstance(value, dict):
         return {name: _without_rounding_digits(name, inner) for name, inner in value.items()}

@@ -243,8 +243,6 @@ class Engine:
         """Step until no coordinate moves faster than `creep` [rad/s or m/s].
 
         The remaining motion is about a tenth of that number [rad or m].
-
-        Raises ConvergenceError: it still moves after 1500 steps.
         """
         for _ in range(0, 1500, 10):
             self.mujoco.mj_step(self.model, self.data, 10)

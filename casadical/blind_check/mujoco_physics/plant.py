@@ -249,10 +249,7 @@ def _radians(degrees: Any) -> float:
 
 
 def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
-    """Return the numbers at a key of a robot's data as an array of a required shape.
-
-    Raises InputError: another shape, or numbers that are not finite.
-    """
+    """Return the numbers at a key of a robot's data as an array of a required shape."""
     table = np.array(robot[key], float)
     if table.shape != shape or not np.isfinite(table).all():
         raise InputError(f"robot: {key} has shape {table.shape}; it must be finite numbers of shape {shape}")

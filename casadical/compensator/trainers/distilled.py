@@ -104,8 +104,7 @@ def _minimise_by_sign_steps(
     The step of a coordinate grows while the sign of its gradient stays, and shrinks when it
     changes. The cost is that of `cost_and_slope`.
 
-    x, y : inputs and targets; start, low, high : start and bounds of the logarithms, (d + 2,)
-    steps : number of evaluations
+    start, low, high : start and bounds of the logarithms, (d + 2,)
     """
     at, step, before = start.copy(), np.full(len(start), 0.2), np.zeros(len(start))
     best, least = start, np.inf
@@ -148,10 +147,7 @@ class Taught(Trainer):
         return run
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
-        """Return the task of learning a fitted process's mean, and its length scales in words.
-
-        Raises InputError for periodic inputs.
-        """
+        """Return the task of learning a fitted process's mean, and its length scales in words."""
         if task.layout.periodic:
             raise InputError("the trainer 'taught' takes no periodic inputs; take 'lm', or a layout without them")
         inputs, ones = task.inputs[:-1].T, task.inputs[-1]

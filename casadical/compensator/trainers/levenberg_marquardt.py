@@ -111,18 +111,6 @@ class BackpropRun:
         return ""
 
 
-def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> Array:
-    """Return the cost of every problem, shape (P,), in squared units of the output layer.
-
-    It is the weighted sum of squared errors plus the ridge times the sum of squared weights.
-
-    weights, samples, ridge : as of `descent`
-    """
-    errors = forward(task.layout, weights, task.inputs) - task.targets
-    fit = np.einsum("pon,pon,pn->p", errors, errors, samples)
-    return np.asarray(fit + ridge * ((weights * _penalty_mask(task)) ** 2).sum(axis=1), dtype=np.float64)
-
-
 def descent(task: Task, weights: Array, samples: Array, ridge: Array, relative: float = 1e-7) -> Iterator[Descent]:
     """Yield the state of P training problems before each step, as long as one has not ended.
 
@@ -144,17 +132,16 @@ def descent(task: Task, weights: Array, samples: Array, ridge: Array, relative: 
             slope, curvature = map(np.concatenate, zip(*normal, strict=True))
             return curvature, -slope
 
-        return penalised_cost(task, points, samples, ridge), sums
+        errors = forward(task.layout, points, task.inputs) - task.targets
+        fit = np.einsum("pon,pon,pn->p", errors, errors, samples)
+        return np.asarray(fit + ridge * ((points * _penalty_mask(task)) ** 2).sum(axis=1), dtype=np.float64), sums
 
     most, scale = sys.maxsize, np.ones_like
     return levenberg_marquardt(evaluate, weights, most, scale=scale, least=1e-14, relative=relative)
 
 
 def _normal_equations(task: Task, weights: Array, samples: Array, ridge: Array) -> tuple[Array, Array]:
-    """Return half the cost's gradient, (P, count), and Gauss-Newton Hessian, (P, count, count).
-
-    weights, samples, ridge : as of `descent`
-    """
+    """Return half the cost's gradient, (P, count), and Gauss-Newton Hessian, (P, count, count)."""
     outputs, jacobian = outputs_and_jacobian(task.layout, weights, task.inputs)
     count, total = weights.shape
     root = np.sqrt(samples)[:, None]
@@ -236,7 +223,20 @@ class LmRun:
         self.steps, self.inner = self.steps + 1, self.inner + 1
         # There are 100 iterations at the weakest ridge, and 20 at each stronger one.
         if self.ridge is None and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
-            self._next_ridge()
+            # Score the current ridge on held-out poses and begin the next or the final training.
+            cost = self.batch.cost.reshape(self.folds, -1)
+            chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
+            weights, inputs, targets = self.batch.point[chosen], self.task.inputs, self.task.targets
+            squares = (forward(self.task.layout, weights, inputs) - targets) ** 2
+            held_out = (self.samples[chosen] == 0)[:, None]
+            self.scores.append(float(np.sum(squares * held_out) / targets.shape[1]))
+            best = int(np.argmin(self.scores))
+            self.level, self.inner = self.level + 1, 0
+            if self.level == len(self._candidates) or self.level > best + 2:
+                self.ridge = self._candidates[best]
+                self._begin()
+            else:
+                self._begin(self.batch.point)
 
     def reasons(self) -> tuple[str, ...]:
         """Return why the training is over; empty as long as it continues."""
@@ -278,22 +278,3 @@ class LmRun:
         ridges = np.full(len(weights), ridge * self._unit)
         self._descent = descent(self.task, weights, self.samples, ridges)
         self.batch = next(self._descent)
-
-    def _next_ridge(self) -> None:
-        """Score the current ridge on held-out poses and begin the next or the final training.
-
-        The score is the mean squared norm of errors on held-out poses, by each fold's best start.
-        """
-        cost = self.batch.cost.reshape(self.folds, -1)
-        chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
-        weights, inputs, targets = self.batch.point[chosen], self.task.inputs, self.task.targets
-        squares = (forward(self.task.layout, weights, inputs) - targets) ** 2
-        held_out = (self.samples[chosen] == 0)[:, None]
-        self.scores.append(float(np.sum(squares * held_out) / targets.shape[1]))
-        best = int(np.argmin(self.scores))
-        self.level, self.inner = self.level + 1, 0
-        if self.level == len(self._candidates) or self.level > best + 2:
-            self.ridge = self._candidates[best]
-            self._begin()
-        else:
-            self._begin(self.batch.point)

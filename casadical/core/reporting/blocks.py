@@ -106,10 +106,7 @@ class Page:
 
 
 def figures_named(figures: Mapping[str, Figure], start: str) -> list[Figure]:
-    """Return the figures whose name is `start` or begins with `start` and a slash.
-
-    figures : figures by name
-    """
+    """Return the figures whose name is `start` or begins with `start` and a slash."""
     return [figure for name, figure in figures.items() if name == start or name.startswith(f"{start}/")]
 
 

@@ -81,7 +81,18 @@ def draw(figure: Figure) -> Picture:
         legend={"orientation": "h"} | at_top | {"y": 0, "yanchor": "bottom"},
     )
     if any(s.z is not None for s in figure.series):
-        _space(picture)
+        # Set up a 3D scene that is rotated with the mouse.
+        axis = {
+            "gridcolor": GRID_COLOUR,
+            "zerolinecolor": LINE_COLOUR,
+            "showbackground": False,
+            "linecolor": LINE_COLOUR,
+            "color": MUTED_COLOUR,
+        }
+        axes = {f"{c}axis": {**axis, "title": {"text": f"{c} [m]"}, "nticks": 6, "showspikes": False} for c in "xyz"}
+        camera = {"eye": dict(zip("xyz", CAMERA_EYE, strict=True)), "center": {"x": 0, "y": 0, "z": -0.22}}
+        scene = {**axes, "aspectmode": "data", "camera": camera, "dragmode": "turntable"}
+        picture.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 44, "b": 0})
     elif figure.panels:
         _panels(picture, figure)
     else:
@@ -257,18 +268,3 @@ _SIDES: dict[str, tuple[dict[str, str], int]] = {
     "below right": ({"xanchor": "left", "yanchor": "top"}, 0),
     "below left": ({"xanchor": "right", "yanchor": "top"}, 0),
 }
-
-
-def _space(picture: Picture) -> None:
-    """Set up a 3D scene that is rotated with the mouse."""
-    axis = {
-        "gridcolor": GRID_COLOUR,
-        "zerolinecolor": LINE_COLOUR,
-        "showbackground": False,
-        "linecolor": LINE_COLOUR,
-        "color": MUTED_COLOUR,
-    }
-    axes = {f"{c}axis": {**axis, "title": {"text": f"{c} [m]"}, "nticks": 6, "showspikes": False} for c in "xyz"}
-    camera = {"eye": dict(zip("xyz", CAMERA_EYE, strict=True)), "center": {"x": 0, "y": 0, "z": -0.22}}
-    scene = {**axes, "aspectmode": "data", "camera": camera, "dragmode": "turntable"}
-    picture.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 44, "b": 0})

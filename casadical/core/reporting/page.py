@@ -30,7 +30,6 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
     """Return pages as the text of one self-contained HTML file.
 
     command : words of the command line that made it
-
     Raises InputError where plotly is not installed, or a file of a page cannot be read.
     """
     text: str = (

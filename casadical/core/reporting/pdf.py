@@ -34,7 +34,6 @@ def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = No
 
     language : code of its language, such as "en"
     day : date of its creation; None: a fixed one, so that files of one result are equal to the byte
-
     Raises InputError where fpdf2 is not installed, or a page's words have no room on it.
     """
     # The type is made smaller until every page's content fits on it.
@@ -66,7 +65,6 @@ def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
     """Return the drawn pages, and the number of the first that overflows, from 1; None: none does.
 
     scale : factor on the size of type, distances and figures, not on the footer or figures' type
-    Raises InputError where fpdf2 is not installed.
     """
     missing_fpdf = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
     sheet: Sheet = optional("fpdf", missing_fpdf).FPDF(format="A4")
@@ -111,7 +109,6 @@ def _line(sheet: Sheet, text: str, style: str, size: float, role: str = "ink") -
     """Write a paragraph of text at the current position.
 
     style : "B", "I" or "" for bold, italic or normal; size : of the font [pt]
-    role : role of its colour in the palette
     """
     sheet.set_font("helvetica", style, size)
     _ink(sheet, role)

@@ -119,10 +119,7 @@ def _text(rendered: str) -> str:
 
 
 def template_blocks(path: Path, result: Any, block: str = "", **more: Any) -> list[Block]:
-    """Return the blocks of a rendered template: its paragraphs, and those that it inserts.
-
-    path, result, block, more : as of `paragraphs`
-    """
+    """Return the blocks of a rendered template: its paragraphs, and those that it inserts."""
     made: list[Block | Sequence[Block]] = []
 
     def put(blocks: Block | Sequence[Block]) -> str:

@@ -108,10 +108,7 @@ def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
 
 
 def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str:
-    """Return the C statement that sets the result of node k of a tape.
-
-    a : C texts of its arguments; prefix, real : as of `kernel`
-    """
+    """Return the C statement that sets the result of node k of a tape."""
     if node.op == "sincos":
         return f"{prefix}_real v{k}[2];\n{prefix}_sincos({a[0]}, v{k});"
     text = _expression(node, a, prefix, real)
@@ -204,19 +201,7 @@ def c_files(program: TapeProgram) -> dict[str, str]:
     """Return the texts of all files of the C export by file name, build files included."""
     name, values = program.name, _values(program)
     build = {f"CMAKE_INSTALL_{key}": f"@CMAKE_INSTALL_{key}@" for key in ("PREFIX", "LIBDIR", "INCLUDEDIR")}
-    return {
-        f"{name}.h": _header(program, values),
-        f"{name}.c": _source(program, values),
-        f"{name}_self_test.c": _self_test(program, values),
-        f"{name}_example.c": _example(program, values),
-        "CMakeLists.txt": filled(template("CMakeLists.txt"), values),
-        f"{name}.pc.in": filled(template("pkg_config.pc.in"), values | build),
-        f"cross_check/{name}_casadi.c": _casadis_own(program),
-    }
-
-
-def _header(program: TapeProgram, values: dict[str, str]) -> str:
-    """Return the text of NAME.h: prototypes, limits, status codes and notes."""
+    # The text of NAME.h: prototypes, limits, status codes and notes.
     command, network = program.command, program.network
     parts = [template("network.h")] if network else []
     parts += [template("command.h")] if command else []
@@ -226,7 +211,15 @@ def _header(program: TapeProgram, values: dict[str, str]) -> str:
         "command_statuses": filled(_COMMAND_STATUSES, values) if command else "",
         "title": network.title if network and not command else "correction of joint commands",
     }
-    return filled(template("header.h"), values | more)
+    return {
+        f"{name}.h": filled(template("header.h"), values | more),
+        f"{name}.c": _source(program, values),
+        f"{name}_self_test.c": _self_test(program, values),
+        f"{name}_example.c": _example(program, values),
+        "CMakeLists.txt": filled(template("CMakeLists.txt"), values),
+        f"{name}.pc.in": filled(template("pkg_config.pc.in"), values | build),
+        f"cross_check/{name}_casadi.c": _casadis_own(program),
+    }
 
 
 def _source(program: TapeProgram, values: dict[str, str]) -> str:

@@ -210,10 +210,7 @@ def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
 
 
 def _factored(A: SX, floor: float) -> tuple[SX, SX]:
-    """Return unit lower triangular L and inverted pivots of A = L D L^T, (m, m) and (m,).
-
-    floor : smallest pivot
-    """
+    """Return unit lower triangular L and inverted pivots of A = L D L^T, (m, m) and (m,)."""
     m = A.shape[0]
     L, d, inverse = SX.eye(m), SX.zeros(m), SX.zeros(m)
     for j in range(m):

@@ -225,11 +225,7 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
 def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tuple[float, ...], float]:
     """Return the smallest spline table of one output that is accurate enough, and its error bound.
 
-    function : function that the table replaces, for messages
-    output : index of the output
-    samples : its values at `_HARMONIC_SAMPLES` equidistant angles over one turn
     Returns the entries of the table, and the bound in the unit of the output
-    Raises InputError: none is accurate to `MAX_TABLE_ERROR`.
     """
     amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _HARMONIC_SAMPLES
     bound = np.inf

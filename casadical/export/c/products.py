@@ -173,10 +173,7 @@ Product = NetworkFunction | Command
 
 
 def _checked_box(product: Any) -> None:
-    """Check the box and units of a product, and replace them by float arrays and a complete tuple.
-
-    Raises InputError: bounds that are empty, not finite or 100 rad or m and more, or other units.
-    """
+    """Check box and units of a product, and replace them by float arrays and a complete tuple."""
     lower, upper = (np.array(b, float).ravel() for b in (product.lower, product.upper))
     if lower.shape != upper.shape or len(lower) == 0:
         raise InputError(f"the box has {len(lower)} lower and {len(upper)} upper bounds; give one of each per joint")
@@ -193,9 +190,7 @@ def _checked_box(product: Any) -> None:
 def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...] | None) -> int:
     """Return a function's number of outputs after checking its numbers of inputs and outputs.
 
-    n : number of joints, which its inputs must be
     sizes : numbers of outputs that are allowed; None: any but 0
-    Raises InputError: the function has other numbers.
     """
     n_in = sum(function.numel_in(i) for i in range(function.n_in()))
     n_out = sum(function.numel_out(i) for i in range(function.n_out()))

@@ -131,10 +131,7 @@ class NumpyFunctions:
 
 
 def _simple(T: Any) -> dict[str, Callable[..., Any]]:
-    """Return the function of each operation that is one NumPy expression, by the operation's name.
-
-    T : NumPy type of numbers
-    """
+    """Return the function of each operation that is one NumPy expression, by the operation's name."""
     one, zero = T(1), T(0)
     return {
         "add": lambda a, b: a + b,
@@ -219,7 +216,6 @@ def boxed(q: Array, box: tuple[Array, Array], scale: float) -> tuple[Array, Arra
     """Return joints clipped to a box, (k, n), and status OK, CLAMPED or NOT_FINITE of each, (k,).
 
     q : joints, shape (k, n) [rad or m]; box : lower and upper ends, each of shape (n,)
-    scale : as of `TapeProgram.sum_scale`
     """
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)

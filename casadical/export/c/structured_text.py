@@ -97,7 +97,6 @@ class Plan:
 
         For `forward` itself, the places of its results are recorded.
 
-        place : places of the tape's nodes, to which shared ones are added
         forward : for the tape `forward` itself, places of its nodes, which are recorded; else None
         """
         names: dict[int, Node] = {}
@@ -115,8 +114,6 @@ class Plan:
         """Append independent operations of one kind, sorted by their first arguments.
 
         batch : node indices of the operations
-        place : places of the tape's nodes by their index, to which the results' are added
-        used : number of uses of each node
         """
         pairs = []
         for k in batch:
@@ -168,8 +165,6 @@ def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[l
     """Yield (operation, batches of node indices) for the runs of a tape, in order of evaluation.
 
     Each run is of the operation with the most nodes whose arguments are complete.
-
-    placed : indices of nodes that have a place already
     """
     there = frozenset(placed)
     users: list[list[int]] = [[] for _ in tape.nodes]
@@ -239,7 +234,27 @@ def structured_text(program: TapeProgram) -> str:
     Blocks of what the program lacks are omitted.
     """
     plan = Plan(program)
-    values = _common(program, plan)
+    cost = operations(program).text()
+
+    def operand(value: float, real: Real) -> str:
+        """Return a number as a literal, in brackets if it is negative."""
+        text = number(value, real)
+        return f"({text})" if text.startswith("-") else text
+
+    values = constants(program.real, operand) | {
+        "name": program.name,
+        "model_sha256": program.model_sha256,
+        "data_sha256": program.data_sha256,
+        "kind": "REAL" if program.real == "float" else "LREAL",
+        "index": "INT" if plan.size < 2**15 else "DINT",
+        "joint_units": joint_units(program.product),
+        "cost": textwrap.fill(cost, 116, initial_indent="   ", subsequent_indent="   "),
+        "n": str(program.n),
+        "last": str(program.n - 1),
+        "last_value": str(plan.size - 1),
+        "joints": str(plan.places["joints"]),
+        "share": number(program.sum_scale, program.real),
+    }
     parts = [filled(template("head.st"), values), _values_block(plan, values, program.real)]
     parts.append(filled(template("boxed.st"), values))
     if program.network is not None:
@@ -264,36 +279,8 @@ def number(value: float, real: Real) -> str:
     return mantissa + (f"E{int(exponent)}" if exponent else "")
 
 
-def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
-    """Return the values of placeholders that every structured-text template may use, by key."""
-    cost = operations(program).text()
-
-    def operand(value: float, real: Real) -> str:
-        """Return a number as a literal, in brackets if it is negative."""
-        text = number(value, real)
-        return f"({text})" if text.startswith("-") else text
-
-    return constants(program.real, operand) | {
-        "name": program.name,
-        "model_sha256": program.model_sha256,
-        "data_sha256": program.data_sha256,
-        "kind": "REAL" if program.real == "float" else "LREAL",
-        "index": "INT" if plan.size < 2**15 else "DINT",
-        "joint_units": joint_units(program.product),
-        "cost": textwrap.fill(cost, 116, initial_indent="   ", subsequent_indent="   "),
-        "n": str(program.n),
-        "last": str(program.n - 1),
-        "last_value": str(plan.size - 1),
-        "joints": str(plan.places["joints"]),
-        "share": number(program.sum_scale, program.real),
-    }
-
-
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
-    """Return the declaration of an array with initial values, long runs of one as COUNT(VALUE).
-
-    kind : data type; entries : text of each value
-    """
+    """Return the declaration of an array with initial values, long runs of one as COUNT(VALUE)."""
     counted = [list(same) for _, same in groupby(entries)]
     size = sum(map(len, counted))
     words = (min(f"{len(same)}({same[0]})", ",".join(same), key=len) for same in counted)
@@ -333,10 +320,7 @@ def _list(values: Iterable[float], real: Real) -> str:
 
 
 def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
-    """Return the function block that evaluates the operations, with a CASE branch for each kind.
-
-    values : values of common placeholders by key
-    """
+    """Return the function block that evaluates the operations, with a CASE branch for each kind."""
     kinds = list(dict.fromkeys(plan.operations))
     arrays, scalars = dict[str, None](), dict[str, dict[str, None]]()
     cases = ""
@@ -384,10 +368,7 @@ def tables_of(plan: Plan, real: Real) -> dict[str, str]:
 
 
 def _box(program: TapeProgram, key: str) -> dict[str, str]:
-    """Return the value of the placeholder `box`: declarations of the ends of a joint box.
-
-    key : name of the box in `TapeProgram.boxes`
-    """
+    """Return the value of the placeholder `box`: declarations of the ends of a joint box."""
     kind, text = "REAL" if program.real == "float" else "LREAL", ""
     for name, side in zip(("lower", "upper"), program.boxes[key], strict=True):
         text += _array(name, kind, (number(float(v), program.real) for v in side))
@@ -395,10 +376,7 @@ def _box(program: TapeProgram, key: str) -> dict[str, str]:
 
 
 def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
-    """Return values of the placeholders NAME_from and NAME_to: first and last run of a tape.
-
-    key : name of the tape
-    """
+    """Return values of the placeholders NAME_from and NAME_to: first and last run of a tape."""
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 

@@ -66,10 +66,7 @@ class _Builder:
         self._indices: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
-        """Add an operation unless an equal one is there, and return its node index.
-
-        op, value, table : as of `Node`; args : node indices of its arguments
-        """
+        """Add an operation unless an equal one is there, and return its node index."""
         node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE_OPERATIONS else args, value, table)
         if node not in self._indices:
             self._indices[node] = len(self.nodes)
@@ -93,21 +90,13 @@ class _Builder:
         return self.add(which, self.add("sincos", self.within(angle, ANGLE_LIMIT)))
 
     def periodic(self, angle: int, table: tuple[float, ...], bound: float) -> int:
-        """Return the node index of a spline table's value at an angle [rad].
-
-        angle : node index of the angle
-        table : entries of the table; a single entry is a constant
-        bound : upper bound of the table's error, in the unit of the value
-        """
+        """Return the node index of a spline table's value at an angle [rad]."""
         if len(table) == 1:
             return self.constant(table[0])
         return self.add("periodic", self.within(angle, MAX_TABLE_ANGLE_RAD), value=bound, table=table)
 
     def other_side(self, x: int) -> int:
-        """Return the node index of sqrt(1 - x^2), from which atan2 gives asin and acos.
-
-        x : node index
-        """
+        """Return the node index of sqrt(1 - x^2), from which atan2 gives asin and acos."""
         one = self.constant(1.0)
         return self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
 
@@ -248,8 +237,6 @@ def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]],
     """Return the function that replaces the call of a function: a table for each of its outputs.
 
     It takes node indices of the arguments and returns those of the results.
-
-    Raises InputError: more than one function is called, or it cannot be a table.
     """
     called = function.find_functions()
     if len(called) > 1:

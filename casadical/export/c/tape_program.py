@@ -78,10 +78,7 @@ _EXACT_OPERATIONS = {
 
 
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
-    """Return the interval of a node's result, before it is widened for rounding.
-
-    args : intervals of its arguments; box : intervals of the tape's inputs
-    """
+    """Return the interval of a node's result, before it is widened for rounding."""
     if node.op == "input":
         return box[int(node.value)]
     if node.op == "const":
@@ -248,10 +245,7 @@ def tape_program(
     model_sha256: str = "not given",
     data_sha256: str = "not given",
 ) -> TapeProgram:
-    """Return a product's tapes for a real type, without the guards that its box makes needless.
-
-    name, model_sha256, data_sha256 : as of `TapeProgram`
-    """
+    """Return a product's tapes for a real type, without the guards that its box makes needless."""
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
     network_bounds: list[Interval] = []

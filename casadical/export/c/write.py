@@ -302,8 +302,7 @@ def write_c(
 def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -> None:
     """Check that no existing file would be overwritten that no export wrote or that was changed.
 
-    names : names of the files to write; overwrite : whether such files may be overwritten
-    Raises InputError: one would be, or the folder is a file.
+    overwrite : whether such files may be overwritten
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder")
@@ -327,10 +326,7 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
 
 
 def _manifest(program: TapeProgram, blobs: Mapping[str, bytes], made: Export) -> bytes:
-    """Return the content of manifest.json: hashes, comparisons, figures and limits.
-
-    blobs : content of each other file by its name
-    """
+    """Return the content of manifest.json: hashes, comparisons, figures and limits."""
     alone = None if program.command else program.network
     content = {
         "written_by": "casadical",

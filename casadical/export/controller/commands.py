@@ -99,11 +99,9 @@ def export_c(
     folder : folder in which the C is written
     what : "command", the correction of commands; "network" or "curves", the compensator or the
         joints' error curves alone
-    steps : as of `command_of`
     correct : "position" or "pose", what a command corrects
     limits : values that replace the defaults of `Limits`, by name
     name : prefix of the C functions; None: from the robot's name
-    real, languages, overwrite, also : as of `write_c`
     Returns the export, whose `about` says in words what was made and omitted
     Raises InputError: an option or a source that cannot be used; CasadicalError as of `write_c`.
     """
@@ -392,7 +390,6 @@ def _with_payload(robot: Robot, payload_kg: float | None) -> Robot:
     """Return the robot with another payload mass, at the declared centre of mass.
 
     payload_kg : mass of the payload [kg]; None: as declared
-    Raises InputError: a mass that is not allowed, or no declared payload.
     """
     if payload_kg is None:
         return robot
@@ -428,8 +425,6 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     """Return the compensator's network with its training ranges.
 
     It is None without a compensator, or if the network was refused when it was trained.
-    joints : number of the robot's joints
-    Raises InputError: it has another number of inputs, or not three outputs.
     """
     if sources.compensator is None:
         return None

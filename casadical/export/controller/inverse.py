@@ -109,7 +109,18 @@ class Newton:
 
     def __init__(self, pose: ca.Function, oriented: bool = True) -> None:
         self.pose, self.oriented = pose, oriented
-        self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
+        # The CasADi function (q[n], target[12]) -> (r[6] [m], J[6 x n]) of Newton's method.
+        n = pose.numel_in(0)
+        q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
+        p, R = pose(q)
+        if oriented:
+            r = residual(target, ca.vertcat(p, ca.vec(R)))
+            lower = ca.horzcat(*[ORIENTATION_LENGTH_M * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)])
+        else:
+            r, lower = ca.vertcat(target[:3] - p, ca.SX.zeros(3)), ca.SX.zeros(3, n)
+        self._function = ca.Function(
+            "newton", [q, target], [ca.densify(r), ca.densify(ca.vertcat(ca.jacobian(p, q), lower))]
+        )
 
     def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
         """Return the joints that reach k poses, iterated from `start`.
@@ -145,25 +156,6 @@ class Newton:
         """
         r, J = self._function.map(len(q))(q.T, target.T)
         return r.full().T, J.full().reshape(6, *q.shape).transpose(1, 0, 2)
-
-
-def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Function:
-    """Return the CasADi function (q[n], target[12]) -> (r[6] [m], J[6 x n]) of Newton's method.
-
-    r is target less pose and J the derivative of the pose; r[3:] and its Jacobian are zero if only
-    positions count.
-
-    pose : function of the tool's pose; n : number of joints
-    oriented : whether the orientation is to be reached, too
-    """
-    q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
-    p, R = pose(q)
-    if oriented:
-        r = residual(target, ca.vertcat(p, ca.vec(R)))
-        lower = ca.horzcat(*[ORIENTATION_LENGTH_M * _turning(R, ca.jacobian(ca.vec(R), q), i) for i in range(n)])
-    else:
-        r, lower = ca.vertcat(target[:3] - p, ca.SX.zeros(3)), ca.SX.zeros(3, n)
-    return ca.Function("newton", [q, target], [ca.densify(r), ca.densify(ca.vertcat(ca.jacobian(p, q), lower))])
 
 
 def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
@@ -371,10 +363,7 @@ class Postures:
 
 
 def _nearest(p: ca.SX, d: ca.SX, other: ca.SX, other_d: ca.SX) -> ca.SX:
-    """Return t of the point p + t d [m] of a line that is nearest to another line.
-
-    other, other_d : a point and the direction of the other line; both directions are unit vectors
-    """
+    """Return t of the point p + t d [m] of a line that is nearest to another line."""
     c, between = ca.dot(d, other_d), other - p
     return (ca.dot(between, d) - c * ca.dot(between, other_d)) / (1 - c * c)
 

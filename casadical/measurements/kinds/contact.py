@@ -97,7 +97,6 @@ class Contact(OfPoints):
 def labels_of(columns: Columns, name: str, meaning: str) -> Array:
     """Return a column of names as texts, shape (n,).
 
-    meaning : clause that says what the column names, for the message
     Raises InputError: it is missing, or a cell is empty.
     """
     if name not in columns.table:

@@ -23,10 +23,7 @@ def kinds() -> Mapping[str, MeasurementKind]:
 
 
 def find_kind(name: str, source: str = "measurements") -> MeasurementKind:
-    """Return the kind of measurement of this name. Raises InputError for one that does not exist.
-
-    source : where the name stands, for the message
-    """
+    """Return the kind of measurement of this name. Raises InputError for an unknown one."""
     if name not in kinds():
         raise InputError(f"{source}: kind {name!r} is unknown; allowed: {', '.join(kinds())}")
     return kinds()[name]

@@ -120,10 +120,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
 
 
 def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
-    """Return a column of lists (JSON or Parquet) as an array, shape (n, k); None for others.
-
-    Raises InputError where the lists are not all of k numbers.
-    """
+    """Return a column of lists (JSON or Parquet) as an array, shape (n, k); None for others."""
     if is_numeric_dtype(cells):
         return None
     cells = cells.map(lambda cell: _as_json(cell) if isinstance(cell, str) else cell)
@@ -229,10 +226,7 @@ def _si_name(unit: str) -> str:
 
 
 def _time(raw: RawTable) -> Array:
-    """Return the time of each row, shape (n,) [s], from its column or columns.
-
-    Raises InputError where no heading names a time.
-    """
+    """Return the time of each row, shape (n,) [s], from its column or columns."""
     frame = raw.frame
     if "time_s" in frame:
         return numbers_of(frame["time_s"])

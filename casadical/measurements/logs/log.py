@@ -165,10 +165,7 @@ def joined(logs: Sequence[JointLog]) -> JointLog:
 
 
 def _refuse_malformed(log: JointLog) -> None:
-    """Check shapes, values, times and runs.
-
-    Raises InputError for what no arm can have logged; FaultsError where single cells are to blame.
-    """
+    """Check shapes, values, times and runs."""
     n, joints = len(log.time), len(log.joints)
     if n < 2 or not joints:
         raise InputError(f"{log.source}: {n} rows of {joints} joints; at least two rows of one joint are needed")

@@ -132,7 +132,7 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
 
     Coupled joints are computed, and the controller's readings become the variables of the rows.
 
-    unit : as of `read_log`. Raises InputError without positions of the robot's joints.
+    Raises InputError without positions of the robot's joints.
     """
     if "position" not in log.channels:
         there = ", ".join(log.channels)
@@ -192,7 +192,6 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
     """Return the log's names (keys) of the joints, the robot's names, sentences on dropped joints.
 
     Both lists are in the robot's order; the name of a coupled joint that the log lacks is empty.
-    Raises InputError where the log lacks another joint.
     """
     there = list(log.channels["position"])
     numbered = all(is_number(key) for key in there)
@@ -312,8 +311,7 @@ def _into_si(
 ) -> tuple[str, ...]:
     """Convert the arrays to SI in place; return sentences on units that no heading states.
 
-    keys : the log's names of the joints; arrays : channel -> shape (n, joints); kinds : of each
-        joint
+    arrays : channel -> shape (n, joints)
     given : unit of angles that is declared, None: it is inferred from their size
     """
     guessed: dict[str, list[str]] = {}

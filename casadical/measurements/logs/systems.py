@@ -157,10 +157,7 @@ def stations_of_bag(path: Path) -> RawTable:
 
 
 def _streams(path: Path, readers: Mapping[str, _Reader]) -> tuple[dict[tuple[str, ...], _Stream], list[str]]:
-    """Return the streams of a bag's messages, by topic and what they name, and all topics with their types.
-
-    readers : type of ROS message -> its reader. Raises InputError.
-    """
+    """Return a bag's streams by topic and what they name, and all topics with their types."""
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
     for file in (f for f in path.iterdir() if f.exists() and not f.is_dir()) if path.is_dir() else (path,):

@@ -301,8 +301,6 @@ class Certificate(Result):
         """Return a figure of the held-out poses in the base frame, coloured by error over rms.
 
         They are seen from the side, or from above where their heights are equal.
-
-        k : 0 for the nominal robot, 1 for the calibrated one
         """
         e, most = (self.before, self.after)[k].errors, (1.0, 2.0, 3.0)
         rms = float(np.sqrt(np.mean(e**2)))

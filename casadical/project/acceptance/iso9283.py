@@ -239,9 +239,8 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
     """Return the figures AP, RP, vAP, dAP and dRP of a measured test table.
 
     robot : calibrated robot, whose base frame is that of the commands
-    promised : rms error of its calibration [m]
-    Without a column `test` all visits are of accuracy. Raises InputError: another missing column,
-    no finite number, a test without visits.
+    promised : rms error of its calibration [m] Without a column `test` all visits are of accuracy.
+    Raises InputError: another missing column, no finite number, a test without visits.
     """
     columns = Columns.of_file(read_table(path))
     measured, command = columns.vector(""), columns.vector("c")
@@ -288,7 +287,6 @@ def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFig
 
     pose : number of each visit's pose, shape (n,); p, command : measured and commanded positions in
         the base frame, shape (n, 3) [m]
-    Raises InputError for a single visit.
     """
     figures = []
     for k in np.unique(pose[own]):

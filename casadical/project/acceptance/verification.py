@@ -194,7 +194,6 @@ def without_instrument(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
 def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
     """Return the figures of a test table by ISO 9283, and what the calibration states.
 
-    robot : as of `verify`
     tables : a single one, as `casadical plan --iso9283` plans it
     Raises InputError: several tables, or what is wrong in the one.
     """

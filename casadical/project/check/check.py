@@ -133,8 +133,7 @@ def _outlooks(
 ) -> tuple[list[Outlook], list[Finding]]:
     """Return the expected accuracy by each method, and findings on methods that have none.
 
-    start : nominal robot with base and tool fitted; noise : of a coordinate [m], None: as the data
-        show
+    noise : of a coordinate [m], None: as the data show
     """
     outlooks: list[Outlook] = []
     findings: list[Finding] = []

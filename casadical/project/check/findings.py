@@ -46,10 +46,7 @@ class Finding:
 
 
 def fault_findings(error: InputError, topic: str) -> list[Finding]:
-    """Return each fault of an error as a finding of level error.
-
-    topic : of these findings
-    """
+    """Return each fault of an error as a finding of level error."""
     faults = [*error.faults, *error.others] if isinstance(error, FaultsError) else [error]
     return [Finding("error", topic, str(fault)) for fault in faults]
 

@@ -100,7 +100,6 @@ def outlook(
 
     robot : nominal robot with base and tool frames fitted to the sets
     free : parameters, as of `identify`
-    method : name of the method
     noise : one sigma of a coordinate [m]; None: as the data show
     seed : seed of the poses over the joint ranges
     Raises InputError.

@@ -111,8 +111,7 @@ def _columns_table(columns: Mapping[str, Source]) -> Any:
 def _counted(fit: Fit, robot: Robot) -> dict[int, dict[str, Any]]:
     """Return index of a joint -> keys that say how its row follows from the controller's readings.
 
-    Only joints are listed for which the fit changes that. Raises InputError where the robot file
-    has such keys, and columns are in another unit or swapped.
+    Only joints are listed for which the fit changes that.
     """
     h, n = fit.hypothesis, robot.n
     table = h._replace(sign=(1,) * n, zero=(0.0,) * n, add=(0,) * n)
@@ -180,10 +179,7 @@ def _round(value: float) -> float:
 
 
 def _column_present(present: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
-    """Return the name of a column, stem and unit, under which it has a source, or raise InputError.
-
-    present : casadical's column name -> its source; units : suffixes that are tried in order
-    """
+    """Return the name of a column, stem and unit, that has a source, or raise InputError."""
     for unit in units:
         if stem + unit in present:
             return stem + unit

@@ -253,10 +253,7 @@ class SlipFit:
                 yield part, y, p, R, (along[0], along[1])
 
     def _lengths(self, hypotheses: Sequence[Hypothesis], rows: int) -> tuple[Array, Array]:
-        """Return the link lengths a and d under each of k hypotheses, shapes (k, joints) [m].
-
-        rows : index of the robot's DH rows that all of them mean
-        """
+        """Return the link lengths a and d under each of k hypotheses, shapes (k, joints) [m]."""
         a, d = (np.tile([getattr(j, name) for j in self.rows[rows]], (len(hypotheses), 1)) for name in ("a", "d"))
         for k, h in enumerate(hypotheses):
             for name, i, departure in h.lengths:

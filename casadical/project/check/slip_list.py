@@ -222,10 +222,7 @@ def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limi
 
 
 def _with_changes(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> Measurements:
-    """Return pose k of m once for each change, as measurements with as many poses.
-
-    changes : name of an array or column -> its new value at that pose
-    """
+    """Return pose k of m once for each change, as measurements with as many poses."""
     some = replace(m[np.full(len(changes), k)], separations=())
     given = {"q": some.q, **some.arrays, **some.conditions}
     made = {}

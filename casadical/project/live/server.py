@@ -248,10 +248,7 @@ async def _body(request: Request) -> bytes | None:
 
 
 def _command(body: bytes) -> dict[str, Any]:
-    """Return the JSON object in the body of a request, with `do` and its values.
-
-    Raises InputError for anything else.
-    """
+    """Return the JSON object in the body of a request, with `do` and its values."""
     try:
         asked = json.loads(body)
         json.dumps(asked, ensure_ascii=False).encode()  # no file can hold lone surrogates

@@ -242,11 +242,7 @@ class LiveSession:
         return {name: ColumnSource(name) for name in raw.header if name not in sources} | sources
 
     def _as_file(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return heading of `measured.csv` -> cell, for typed values; other cells are empty.
-
-        values : casadical's column name -> typed text
-        Raises InputError where a value is no column of the file by itself.
-        """
+        """Return heading of `measured.csv` -> cell, for typed values; other cells are empty."""
         sources, row = self._sources, dict.fromkeys(self.course.header, "")
         for name, value in values.items():
             stem, _, unit = name.rpartition("_")
@@ -270,16 +266,13 @@ class LiveSession:
             try:
                 m = self._table()
             except InputError as error:
-                m = self._table_without_unreadable(new, self._without_folder(error))
+                m = self._table_without_unreadable(new, str(error).replace(f"{self.folder}/", ""))
             if m is not None:
                 self.unread, self.m = "", m
                 self._judge_readings(self.m, new[0] if len(new) == 1 else 0)
 
     def _table(self) -> Measurements:
-        """Return the measurements of all readings that are not excluded, after writing the table.
-
-        Raises InputError where they cannot be read.
-        """
+        """Return the measurements of all readings that are not excluded; write the table."""
         self._write()
         m = read_campaign(self.folder, self.folder / TABLE_FILE, self.robot, later=True, words=True)
         refuse_nameless(m, self.robot)
@@ -287,10 +280,6 @@ class LiveSession:
         # Raises InputError for a session with too few poses, which then waits for more.
         with_sessions(self.robot, [m])
         return m
-
-    def _without_folder(self, error: InputError) -> str:
-        """Return the text of an error without the path of the folder."""
-        return str(error).replace(f"{self.folder}/", "")
 
     def _table_without_unreadable(self, new: Sequence[int], why: str) -> Measurements | None:
         """Return the measurements without new readings that make the table unreadable, or None.
@@ -307,7 +296,7 @@ class LiveSession:
             try:
                 return self._table()
             except InputError as error:
-                whole = whole if lost else self._without_folder(error).splitlines()[0]
+                whole = whole if lost else str(error).replace(f"{self.folder}/", "").splitlines()[0]
         self._unreadable = before
         self._unreadable |= dict.fromkeys(new, "")
         for n in (0, *new):  # all of them excluded, then added one after the other
@@ -319,7 +308,7 @@ class LiveSession:
                     self._unreadable = {k: text for k, text in self._unreadable.items() if k not in new}
                     self.unread = why
                     return None
-                own = self._without_folder(error).splitlines()[0]
+                own = str(error).replace(f"{self.folder}/", "").splitlines()[0]
                 # The same reason as that of the readings before: it waits as they do.
                 alike = re.sub("[0-9]+", "", own) == re.sub("[0-9]+", "", whole)
                 self._unreadable[n] = whole if alike else own
@@ -327,10 +316,7 @@ class LiveSession:
         return table
 
     def _judge_readings(self, m: Measurements, new: int) -> None:
-        """Judge every reading by the others, and store estimate, doubtful readings and reasons.
-
-        new : number of the only new reading, 0 of several
-        """
+        """Judge every reading by the others, and store estimate, doubtful readings and reasons."""
         numbers = [self._number(row) for row in m.row]
         robot = (
             self.robot if not lacks_declared_compliance(self.robot) else with_all_joints_compliant(self.robot, [m])[0]

@@ -106,10 +106,7 @@ def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
     with appending(path, end) as write:
 
         def add(do: str, **event: Any) -> dict[str, Any]:
-            """Write an event to disk, apply it to the state, and return it with its time.
-
-            do : kind of event, such as "read"; event : its keys and values
-            """
+            """Write an event to disk, apply it to the state, and return it with its time."""
             whole = {"do": do, "at": datetime.now(UTC).isoformat(timespec="seconds"), **event}
             write(json.dumps(whole) + "\n")
             course.follow(whole)
@@ -273,7 +270,6 @@ def source_of(path: str, stdin: BinaryIO) -> Source:
     """Return the source of readings at a path: a file, a folder, or, for "-", standard input.
 
     stdin : stream of standard input
-
     Raises InputError where the folder of the path is not there.
     """
     if path == "-":

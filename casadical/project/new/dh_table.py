@@ -43,7 +43,6 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     """Return the commented text of a robot file for a table of DH rows.
 
     path : table, or YAML of a UR arm's kinematics (see `_ur_text`)
-    name : of the robot
     convention : modified or standard
     Raises InputError that names file, row and column.
     """
@@ -121,10 +120,7 @@ def _refuse_non_finite(table: RawTable) -> None:
 
 
 def _joint_text(row: Mapping[str, Any], where: str) -> str:
-    """Return the [[joint]] table of one row of the DH table as TOML text.
-
-    Raises InputError.
-    """
+    """Return the [[joint]] table of one row of the DH table as TOML text."""
     keys = [key for key in (*_ROW_COLUMNS, *_LIMIT_COLUMNS, *_BODY_COLUMNS, "stiffness_Nm_per_rad") if key in row]
     numbers = zip(keys, each_of(partial(_number, row, key, where) for key in keys), strict=True)
     given = {key: value for key, value in numbers if value is not None}
@@ -158,10 +154,7 @@ def _joint_text(row: Mapping[str, Any], where: str) -> str:
 
 
 def _number(row: Mapping[str, Any], key: str, where: str) -> float | None:
-    """Return the cell of column `key` as a number; None where it is empty.
-
-    where : file and row, for the message. Raises InputError for a word.
-    """
+    """Return the cell of column `key` as a number; None where it is empty."""
     try:
         value = float(row[key])
     except (TypeError, ValueError):
@@ -233,9 +226,6 @@ def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, s
     """Return the unit (mm, m, deg, rad) of a column that states none; empty if it needs none.
 
     It is that of another column of the same quantity, else it follows from their size.
-
-    stems, units : heading -> casadical's name without unit, and unit that it states; stem : of the
-        column
     """
     # Lengths without a unit are in millimetres if their median is above 10, else in metres;
     # angles are in degrees if one is above a full turn, else in radians.

@@ -205,7 +205,6 @@ def _table(paths: Sequence[Path], headings: str) -> RawTable:
 
     headings : names of the columns, separated by commas, of the only table or of the one without
         headings; empty: its own
-    Raises InputError: another number of headings than of columns.
     """
     tables = each_of(partial(stations_of_bag if is_bag(path) else read_table, path) for path in paths)
     for k, raw in enumerate(tables):
@@ -231,10 +230,7 @@ def _before_gripper(urdf: Path | None, base_link: str | None, tip_link: str | No
 
 
 def _refuse_missing(raw: RawTable, robot: Robot, found: Understanding, before: Callable[[int], str]) -> None:
-    """Refuse a table in which the readings of some joints have columns, but not of all.
-
-    before : returns how to end the arm before a joint. Raises InputError.
-    """
+    """Refuse a table in which the readings of some joints have columns, but not of all."""
     there = {m[1] for name in (*raw.header, *found.sources) if (m := re.match(r"q(\d+)_(deg|rad|mm|m)$", name))}
     free = [str(i) for i, joint in enumerate(robot.joints, 1) if joint.coupling is None]
     missing = [int(i) for i in free if i not in there]

@@ -166,10 +166,7 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
 
 
 def _refuse_unusable(joint: Any, source: str) -> None:
-    """Refuse a joint that is not revolute, continuous or prismatic, or has no axis.
-
-    joint : yourdfpy's; source : the file, for messages. Raises InputError.
-    """
+    """Refuse a joint that is not revolute, continuous or prismatic, or has no axis."""
     name = f"{source}: joint {joint.name!r}"
     if joint.type not in ("revolute", "continuous", "prismatic"):
         raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
@@ -186,7 +183,6 @@ def _followed(
     the chain, the first has that leader and the others follow the first. A factor of zero locks.
 
     moving, joints : joints (yourdfpy's) of the chain in order, and all of the file by name
-    source : the file, for messages. Raises InputError: joints that mimic each other in a ring.
     """
     names = [j.name for j in moving]
     first: dict[str, tuple[int, float, float]] = {}
@@ -218,9 +214,7 @@ def _followed(
 def _range(joint: Any, source: str) -> tuple[float, float]:
     """Return lower and upper limit of a joint [rad or m]; -2 pi and 2 pi of a continuous one.
 
-    A missing side is 0. Raises InputError where they are not finite and rising.
-
-    joint : yourdfpy's; source : the file, for messages
+    A missing side is 0.
     """
     # Limit that a continuous joint gets to either side [rad].
     full_turn = 2 * np.pi
@@ -241,10 +235,6 @@ def _bodies(
     """Return the body that each joint moves and the next does not, None where it has no mass.
 
     It is in the frame of the joint's link by its modified DH row.
-
-    urdf, tree : the file; dh : the chain in modified DH form
-    frames : of the links at zero readings in the base link's frame; movers : link -> number of the
-        chain's joints that move it. Raises InputError for a mass that is negative or not finite.
     """
     parts: list[list[Body]] = [[] for _ in range(len(dh.rows) + 1)]
     for link in urdf.links:

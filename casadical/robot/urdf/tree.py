@@ -74,10 +74,7 @@ def _refuse_xacro(document: minidom.Document, path: str) -> None:
 
 
 def _refuse_odd(document: minidom.Document, path: str) -> None:
-    """Refuse attributes of links and joints that are no numbers, not finite, or too large.
-
-    Raises InputError that names link or joint.
-    """
+    """Refuse attributes of links and joints that are no numbers, not finite, or too large."""
     # (element of a link or joint, attribute) pairs whose values must be numbers.
     numeric_attributes = (
         ("origin", "xyz"),
@@ -215,8 +212,6 @@ class Tree:
         """Yield a link and all its descendants, depth first, each with whether a joint moves it.
 
         That is, whether a joint that is not fixed lies on the way to it.
-
-        moved : this for the link itself
         """
         waiting = [(link, moved)]
         while waiting:

@@ -41,7 +41,6 @@ def calibrated_urdf_text(
     keeps its pose relative to its own joint's axis.
 
     robot_before : as read from the file; robot_calibrated : to be written
-    base_link, tip_link : as of `read_urdf`
     base : what the base link is: the robot's base or the measuring frame
     measured_link : name of a new link at the measured point, with further targets as further links;
         None: the tip link is moved there
@@ -115,8 +114,7 @@ def _joint_origins(chain: UrdfChain, robot: Robot, T_link0: Array) -> dict[str, 
 def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source: str) -> None:
     """Set the origin of the fixed joint at the tip so that the tip link is at the tool.
 
-    tool : in the last link's modified DH frame, shape (4, 4) [m]. Raises InputError where it has
-    moved and there is no such joint.
+    tool : in the last link's modified DH frame, shape (4, 4) [m].
     """
     if np.allclose(tool, chain.dh.tool, rtol=0, atol=UNCHANGED_TOLERANCE):
         return
@@ -174,10 +172,7 @@ def _comment_text(text: str) -> str:
 
 
 def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> None:
-    """Add a link on a fixed joint with the origin T in the parent link, shape (4, 4) [m].
-
-    Raises InputError if the link's or the joint's name exists already.
-    """
+    """Add a link on a fixed joint with the origin T in the parent link, shape (4, 4) [m]."""
     root = _root(document)
     joint_name = f"{name}_joint"
     taken = {e.getAttribute("name") for tag in ("link", "joint") for e in _children(root, tag)}
@@ -200,10 +195,7 @@ def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> N
 
 
 def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: str) -> None:
-    """Add a comment on what the calibrated URDF contains and what it lacks.
-
-    base : what the base link is, "robot" or "measuring" frame
-    """
+    """Add a comment on what the calibrated URDF contains and what it lacks."""
     frame = "the robot's base frame" if base == "robot" else "the measuring frame"
     text = (
         f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point "

@@ -117,10 +117,7 @@ class Cell:
         return self._made[key]
 
     def _tool_models(self, sources: Sources) -> ToolModels:
-        """Return the correction, and functions of the tool poses of both robots, for one tool.
-
-        sources : robot files with this tool
-        """
+        """Return the correction, and functions of the tool poses of both robots, for one tool."""
         plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
         if self.orientation:
@@ -284,10 +281,7 @@ def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postur
 
 
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
-    """Return the error message for targets that the nominal robot does not reach.
-
-    poses : number of all targets that are poses
-    """
+    """Return the error message for targets that the nominal robot does not reach."""
     names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:5])
     more = f" and {len(targets) - 5} more" if len(targets) > 5 else ""
     frames = _frames_that_reach(language, targets[:8], cell)
@@ -328,10 +322,7 @@ def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cel
 
 
 def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Array, postures: Postures) -> bool:
-    """Return whether the nominal robot reaches a target with these frames.
-
-    root, turned : as of `_flange`
-    """
+    """Return whether the nominal robot reaches a target with these frames."""
     T = _flange(language, target, root, turned)
     if target.posture is None:
         near = np.zeros(postures.nominal.n) if target.near is None else target.near
@@ -347,7 +338,6 @@ def _rewritten(
     Targets whose corrected joints leave their configuration or the limits, or whose written pose
     the nominal robot does not reach, remain unchanged.
 
-    made : models of the targets' tool
     old, new : joints before and after the correction, each shape (k, n) [rad or m]
     """
     posed = np.array([not t.joints for t in targets], dtype=bool)
@@ -419,7 +409,6 @@ def _distances_mm(a: Array, b: Array) -> Array:
 def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
     """Check that no target was taught with the controller's absolute accuracy on.
 
-    source : name of the program, for the message
     Raises InputError: one was.
     """
     for target in targets:

@@ -77,10 +77,7 @@ class CsvTable(ProgramLanguage):
 
 
 def _table(path: str) -> RawTable:
-    """Return a table of joint targets.
-
-    Raises InputError for a table that cannot be written again, or was corrected before.
-    """
+    """Return a table of joint targets."""
     table = read_table(path)
     if table.form.separator != "," or table.form.sheet:
         form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"

@@ -110,9 +110,7 @@ def _line(text: str, found: re.Match[str]) -> int:
 def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]) -> tuple[Target, tuple[str, str]]:
     """Return the target of a position, and the numbers of its tool and base as text, "?" if none.
 
-    source : name of the program, for messages; line : line of the position
     axes : factor of each joint's number to SI
-    Raises InputError: it has more joints than the robot, or other units.
     """
     name = f"P[{words(position, 'NUMBER')[0]}]"
     group = parts(parts(position, "group")[0], "item")
@@ -138,10 +136,7 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
 
 
 def _configured(target: Target, config: object) -> Target:
-    """Return a target with posture and turns of its CONFIG, or marked with why it has none.
-
-    config : token of the CONFIG text
-    """
+    """Return a target with posture and turns of its CONFIG, or marked with why it has none."""
     # Pattern of a configuration such as 'N U T, 0, 0, 0', with the turns of joints 1, 4 and 6.
     config_pattern = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
     match = config_pattern.fullmatch(str(config))
@@ -157,12 +152,7 @@ def _configured(target: Target, config: object) -> Target:
 
 
 def _placed(target: Target, frames: tuple[str, str], given: Given, steps: dict[str, int]) -> Target:
-    """Return a target with its tool and base frames; positions used as increments are skipped.
-
-    frames : numbers of tool and base as text
-    given : frames from outside the program
-    steps : line of the incremental motion by a position, by the position's number
-    """
+    """Return a target with its tool and base frames; positions used as increments are skipped."""
     number = target.name[2:].partition("]")[0]
     if number in steps:
         target = target.leave(f"line {steps[number]} moves by it (INC), not to it")

@@ -123,8 +123,7 @@ class _Module:
     def targets(self, source: str, units: tuple[float, ...], used: set[str]) -> list[tuple[Target, str]]:
         """Return each target and the name of its variable, "" for one inside a motion.
 
-        source : name of the program, for messages; units : factor of each joint's number to SI
-        used : names of variables that are targets of motions
+        units : factor of each joint's number to SI
         """
         listed = []
         for name, _, right in self.assignments:
@@ -171,10 +170,7 @@ class _Frames:
                     self.chosen[what][pick.meta.line] = str(words(pick, "NUMBER")[0])
 
     def _read(self, name: str, line: int, right: Tree[Token]) -> None:
-        """Store an assignment that defines a tool or base, or selects one for program or point.
-
-        name : variable in upper case; line : line number; right : assigned value
-        """
+        """Store an assignment that defines a tool or base, or selects one for program or point."""
         values = _pairs(right) if right.data == "aggregate" else {}
         if name.startswith(("TOOL_DATA[", "BASE_DATA[")) and values:
             self.frames.setdefault(name, {})[line] = self._transform(values, line)
@@ -191,11 +187,7 @@ class _Frames:
                 self.of_point[name] = values
 
     def _transform(self, values: Pairs, line: int) -> Array:
-        """Return the transform, shape (4, 4) [m], of a pose's components.
-
-        line : line of the aggregate, for messages
-        Raises InputError: a number is missing.
-        """
+        """Return the transform, shape (4, 4) [m], of a pose's components."""
         pose = [values.get(key) for key in _POSE_KEYS]
         if not all(map(is_number, pose)):
             raise InputError(f"{self.source}: line {line}: a tool or base needs X, Y, Z, A, B, C as numbers")
@@ -224,10 +216,7 @@ class _Frames:
         return replace(target, tool=tool, base=base, about=f"tool {names[0]}, base {names[1]}")
 
     def _frame(self, what: str, pick: Pick, given: dict[str, Array]) -> Array | None:
-        """Return the transform of a tool or base, shape (4, 4) [m]; None if it is unknown.
-
-        what : "TOOL" or "BASE"; given : transforms from outside the program by number
-        """
+        """Return the transform of a tool or base, shape (4, 4) [m]; None if it is unknown."""
         if isinstance(pick, str):
             if pick in given:
                 return given[pick]
@@ -253,10 +242,8 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
 
     A target that lacks a number or has one twice has the reason in `skip_reason` and no numbers.
 
-    source : name of the program, for messages
     name : name of its variable, "" for one inside a motion
     axes : factor of each joint's number to SI
-    Raises InputError: it has more joints than the robot.
     """
     values, line, shown = _pairs(aggregate), aggregate.meta.line, name or "in the motion"
     joints = "A1" in values

@@ -62,9 +62,8 @@ class ProgramLanguage(ABC):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Return every target of a program in order, those that must stay unchanged included.
 
-        source : path of the program, for messages; text : one character for each byte
+        text : one character for each byte
         given : tools, bases and units from outside the program
-        joints : number of joints
         Raises InputError that names the line where the program cannot be corrected.
         """
 
@@ -116,7 +115,6 @@ class ProgramLanguage(ABC):
     def transform(self, option: str, text: str) -> Array:
         """Return the transform, shape (4, 4) [m], of a pose in an option of a command.
 
-        option : name of the command's option, for messages
         text : numbers of the pose as the controller shows them, separated by commas
         Raises InputError: they are not as many as `units`, not finite, or no pose.
         """
@@ -166,7 +164,6 @@ class AngleLanguage(ProgramLanguage):
 def text_of(source: str, content: bytes) -> str:
     """Return a program's bytes as text, one character per byte (Latin-1).
 
-    source : name of the program, for messages; content : its bytes
     Raises InputError: a control character other than white space, as in compiled programs.
     """
     for place, byte in enumerate(content):
@@ -215,10 +212,7 @@ def _parser(grammar: str) -> Lark:
 
 
 def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
-    """Yield the syntax trees of those parts of a token sequence that the grammar derives, in order.
-
-    parser : parser of the grammar
-    """
+    """Yield the syntax trees of the parts of a token sequence that the grammar derives, in order."""
     opened, closed = [], set()  # indices of opening brackets, and of those that are closed
     for k, token in enumerate(tokens):
         if token.endswith(("(", "[", "{")):
@@ -239,8 +233,6 @@ def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]
 
     Without an island it is None, and the number of tokens to skip: those read before the grammar
     refused one if brackets are nested more than 20 deep, else 1.
-    start : index of the token; closed : indices of the opening brackets that are closed; an island
-        has no others
     """
     run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
     with suppress(UnexpectedInput):
@@ -297,7 +289,6 @@ def integers(texts: Iterable[Any]) -> tuple[int, ...]:
 def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
     """Return the only value that a program assigns to a variable, or None if it assigns none.
 
-    source, what : names of program and variable, for the message
     by_line : values by the line of their assignment
     Raises InputError where the value changes.
     """

@@ -255,10 +255,7 @@ def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
 
 
 def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Table]:
-    """Return tables (mean, maximum) of the tool's deviation, if known, and of what targets moved.
-
-    fine : corrected targets; units : "rad" or "m" of each joint's reading
-    """
+    """Return tables (mean, maximum) of the tool's deviation, if known, and of targets' moves."""
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
     figures, moved = _figures(fine), dict[str, Array]()
     for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
@@ -274,10 +271,7 @@ def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Tabl
 
 
 def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
-    """Return a table with mean and maximum of each row's values.
-
-    what : heading of the first column; rows : values by the row's name
-    """
+    """Return a table with mean and maximum of each row's values."""
     cells = [(name, f"{v.mean():.4f}", f"{v.max():.4f}") for name, v in rows.items()]
     return Table(title, (what, "mean", "max"), cells, frozenset({1, 2}))
 
@@ -322,14 +316,12 @@ def correct_file(
 
     sources : robot file and its others, or in place of the robot a folder that `write_c` wrote,
         which holds all other choices; a folder is always taken for such an export
-    program : file of the program; out : path of the corrected program
-    steps, correct : as of `export_c`
+    out : path of the corrected program
     trust : whether C of a folder that was exported elsewhere is compiled and run
     tcp, base : tools and bases as NAME=NUMBERS, with the numbers that the controller shows
     root, flange : numbers of the controller's root frame in the robot file's base frame, and of its
         flange in the last link's frame; None: they are the same
     data : files of the program in which tools and bases are looked up
-    nearest, external_still, leave_unreached : as of `Cell`
     accuracy_off : whether the controller's own absolute accuracy is off; else targets that were
         taught with it on are refused
     Raises InputError: an option, a file or the program cannot be used.
@@ -376,10 +368,7 @@ def correct_file(
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) -> dict[str, Array]:
-    """Return the transforms, shape (4, 4) [m], by name, of an option's entries NAME=NUMBERS.
-
-    Raises InputError: a name is given twice, or numbers are wrong.
-    """
+    """Return the transforms, shape (4, 4) [m], by name, of an option's entries NAME=NUMBERS."""
     pairs = [entry.rpartition("=")[::2] for entry in entries]
     names = [name.strip() for name, _ in pairs]
     if twice := next((text for name, (_, text) in zip(names, pairs, strict=True) if names.count(name) > 1), ""):

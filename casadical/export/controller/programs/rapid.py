@@ -164,11 +164,7 @@ class _Module:
         return [(target, name) for _, target, name in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
-        """Return the target of a declared list of numbers, with a reason if it cannot be corrected.
-
-        kind : data type, jointtarget or robtarget; name : name of the variable
-        value : the list
-        """
+        """Return the target of a declared list of numbers, or why it cannot be corrected."""
         line, joints = value.meta.line, kind == "jointtarget"
         flat = [part.children for part in value.children if isinstance(part, Tree)]
         sizes = [6, 6] if joints else [3, 4, 4, 6]
@@ -190,10 +186,7 @@ class _Module:
         return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are defined")
 
     def placed(self, target: Target, name: str) -> Target:
-        """Return a target with its tool and base frames, or with the reason why it stays unchanged.
-
-        name : key of the target, as of `targets`
-        """
+        """Return a target with its tool and base frames, or with why it stays unchanged."""
         if name in self.changed:
             target = target.leave(f"line {self.changed[name]} gives it another value")
         _, *named = self.uses.get(name, (0, "", ""))
@@ -211,9 +204,6 @@ class _Module:
         """Return a named tool or work object: its transform, (4, 4) [m], or None if unknown.
 
         The reason is returned as text where it cannot be used.
-
-        kind : tooldata or wobjdata; given : transforms from outside the program by name
-        Raises InputError: its value changes in the program.
         """
         by_name = {key.lower(): T for key, T in given.items()}
         if name in by_name:
@@ -230,10 +220,7 @@ class _Module:
         return self.frames[kind, name]
 
     def _frame(self, kind: str, value: Tree[Token]) -> Array | str:
-        """Return the transform, (4, 4) [m], of tool or work object data, or why it cannot be used.
-
-        kind : tooldata or wobjdata
-        """
+        """Return the transform, (4, 4) [m], of tool or work object data, or why it is unusable."""
         first = str(value.children[0]).upper()
         if kind == "tooldata":
             return self._pose(value.children[1]) if first == "TRUE" else "its tool stands still (robhold FALSE)"

@@ -201,10 +201,7 @@ class _Program:
         return [target for _, target in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, name: str, value: Tree[Token], near: Tree[Token] | None) -> Target:
-        """Return the target of a pose or list; near : its `qnear`.
-
-        Raises InputError: numbers above 20 m or 4 pi rad, which look like other units.
-        """
+        """Return the target of a pose or list; near : its `qnear`."""
         line, joints = value.meta.line, value.data == "list"
         read, wanted = _numbers(value), self.joints if joints else 6
         if read is None or len(read) != wanted:
