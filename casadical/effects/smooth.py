@@ -22,6 +22,23 @@ from casadical.effects.formula_effect import grown_link
 TYPICAL_ANGLE_RAD = 30e-6
 # Typical coefficient of a smooth displacement [m]; each term of its series has a multiple of it.
 TYPICAL_LENGTH_M = 30e-6
+# Functions of a series: name, relative prior size, dimensionless value.
+Terms = list[tuple[str, float, Symbolic]]
+
+
+def _harmonics(q: Symbolic, orders: int, size: float = 1.0, falls: int = 0) -> Terms:
+    """Return sine and cosine of multiples of an angle q [rad]: s1, c1, s2, ...
+
+    Their relative prior size is `size` divided by the order, to the power `falls`.
+    """
+    waves = (("s", ca.sin), ("c", ca.cos))
+    return [(f"{n}{h}", size / h**falls, f(h * q)) for h in range(1, orders + 1) for n, f in waves]
+
+
+def _walk(context: Context | None, orders: int, size: float) -> Terms:
+    """Return the cosines of order pi t, of relative size `size` / order; t is the progress."""
+    t = context.conditions["progress"] if context else 0.0
+    return [(f"t{h}", size / h, ca.cos(ca.pi * h * t)) for h in range(1, orders + 1)]
 
 
 @dataclass(frozen=True)
@@ -36,13 +53,14 @@ class _Smooth(Effect):
     def label(self) -> str:
         return self.words.format(**vars(self))
 
-    def _harmonics(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the Fourier series of an angle q [rad] with the parameters s1, c1, s2, ... [rad].
+    def terms(self, context: Context | None) -> Terms:
+        """Return (name, relative prior size, dimensionless value) of each function of a series.
 
-        The number is the order of the harmonic, s a sine, c a cosine.
+        The typical size of a function's coefficient is the relative size multiplied by
+        `TYPICAL_ANGLE_RAD` or `TYPICAL_LENGTH_M`. If `context` is None, the values are
+        placeholders.
         """
-        waves = {"s": ca.sin, "c": ca.cos}
-        return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -57,14 +75,6 @@ class _Series(_Smooth):
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         return (cls(None, arm.n),)
-
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, relative prior size, dimensionless value) of each function of the series.
-
-        The typical size of a function's coefficient is the relative size multiplied by
-        `TYPICAL_ANGLE_RAD`. If `context` is None, the values are placeholders.
-        """
-        raise NotImplementedError
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         names = [(n, s) for n, s, _ in self.terms(None)]
@@ -92,14 +102,26 @@ class SmoothInJoint(_Series):
         """Return one effect for every joint as `driver`."""
         return (cls(None, arm.n, i) for i in arm.numbers)
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 1 / order, value) of sines and cosines of the angle, orders 1 to 4."""
-        q = context.q[self.driver - 1] if context else 0.0
-        return [(f"{name}{h}", 1 / h, f(h * q)) for h in (1, 2, 3, 4) for name, f in (("s", ca.sin), ("c", ca.cos))]
+        return _harmonics(context.q[self.driver - 1] if context else 0.0, 4, falls=1)
 
 
 @dataclass(frozen=True)
-class AnyOfOwnAngle(_Smooth):
+class _OfOneJoint(_Smooth):
+    """Base of errors of one joint that follow a driver without a form: a series of `terms`."""
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of the coefficient of each function, by name."""
+        return {name: (TYPICAL_ANGLE_RAD * share, "rad") for name, share, _ in self.terms(None)}
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        """Return the error of the effect's joint [rad or m]; q : its variable, not used."""
+        return sum(self.value(context, name) * value for name, _, value in self.terms(context))
+
+
+@dataclass(frozen=True)
+class AnyOfOwnAngle(_OfOneJoint):
     """An error of one joint that is any function of its own angle (damaged tooth, stained disc).
 
     orders : highest harmonic of the Fourier series
@@ -111,17 +133,14 @@ class AnyOfOwnAngle(_Smooth):
     acts_at = "turning joints"
     words = "any function of q{joint} in joint {joint}"
 
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each harmonic's amplitude: sine s1, cosine c1, s2, ..."""
-        return {f"{n}{h}": (TYPICAL_ANGLE_RAD, "rad") for h in range(1, self.orders + 1) for n in "sc"}
-
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad], a Fourier series of its angle q [rad]."""
-        return self._harmonics(context, q)
+    def terms(self, context: Context | None) -> Terms:
+        """Return (name, 1, value) of sine and cosine of each harmonic of the joint's angle."""
+        assert self.joint is not None
+        return _harmonics(context.q[self.joint - 1] if context else 0.0, self.orders)
 
 
 @dataclass(frozen=True)
-class AnyOfOtherAngle(_Smooth):
+class AnyOfOtherAngle(_OfOneJoint):
     """An error of one joint that is any function of another joint's angle (belt, cable, hose).
 
     driver : number of the other joint, 1-based; orders : highest harmonic of the Fourier series
@@ -138,36 +157,9 @@ class AnyOfOtherAngle(_Smooth):
         """Return one effect for every joint and every other revolute joint as `driver`."""
         return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
 
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size, falling with the order, and unit of each amplitude: s1, c1, ..."""
-        return {f"{n}{h}": (2 * TYPICAL_ANGLE_RAD / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
-
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad or m], a series in the driver's variable.
-
-        q : variable of the effect's joint, not used
-        """
-        return self._harmonics(context, context.q[self.driver - 1])
-
-
-@dataclass(frozen=True)
-class _OfOneJoint(_Smooth):
-    """Base of errors of one joint that follow a driver without a form: a series of `terms`."""
-
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, prior size in typical angles, dimensionless value) of each function.
-
-        If `context` is None, the values are placeholders.
-        """
-        raise NotImplementedError
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of the coefficient of each function, by name."""
-        return {name: (TYPICAL_ANGLE_RAD * share, "rad") for name, share, _ in self.terms(None)}
-
-    def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of the effect's joint [rad or m]; q : its variable, not used."""
-        return sum(self.value(context, name) * value for name, _, value in self.terms(context))
+    def terms(self, context: Context | None) -> Terms:
+        """Return (name, 2 / order, value) of sine and cosine of the driver's harmonics."""
+        return _harmonics(context.q[self.driver - 1] if context else 0.0, self.orders, 2.0, 1)
 
 
 @dataclass(frozen=True)
@@ -182,10 +174,9 @@ class AnyOfTime(_OfOneJoint):
     words = "any course in time of joint {joint}"
     needs = ("progress",)
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 3 / order, cosine of order pi t), orders 1 to 8; t is 0 to 1."""
-        t = context.conditions["progress"] if context else 0.0
-        return [(f"t{h}", 3 / h, ca.cos(ca.pi * h * t)) for h in range(1, 9)]
+        return _walk(context, 8, 3.0)
 
 
 @dataclass(frozen=True)
@@ -201,7 +192,7 @@ class AnyOfLoad(_OfOneJoint):
         """Return the name of the column of the joint's direction of approach, in a tuple."""
         return (f"approach{self.joint}",)
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, prior size, value) of load functions, the approach, and their products.
 
         Of the four functions of load two are odd and saturate, two are even: its smoothed absolute
@@ -226,12 +217,11 @@ class AnyOfAngleAndLoad(_OfOneJoint):
     acts_at = "turning joints"
     words = "any function of q{joint} and load in joint {joint}"
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 1, value) of sine and cosine of each harmonic of the angle times the load."""
         assert self.joint is not None
         load, q = (context.load(self.joint), context.q[self.joint - 1]) if context else (0.0, 0.0)
-        waves = (("s", ca.sin), ("c", ca.cos))
-        return [(f"{n}{h}", 1.0, load * f(h * q)) for h in range(1, self.orders + 1) for n, f in waves]
+        return [(name, size, load * value) for name, size, value in _harmonics(q, self.orders)]
 
 
 @dataclass(frozen=True)
@@ -243,14 +233,9 @@ class _OfPlace(_Smooth):
 
     moves: ClassVar[tuple[str, ...]] = ("x", "y", "z", "rx", "ry", "rz")
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, relative prior size, dimensionless value) of each function of the drivers.
-
-        By default they are those of a random walk in time. If `context` is None, the values are
-        placeholders.
-        """
-        t = context.conditions["progress"] if context else 0.0
-        return [(f"t{h}", 2 / h, ca.cos(ca.pi * h * t)) for h in range(1, 7)]
+    def terms(self, context: Context | None) -> Terms:
+        """Return the functions of the drivers, by default those of a random walk in time."""
+        return _walk(context, 6, 2.0)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         """Return typical size and unit of each coefficient: x_t2 (component, function)."""
@@ -303,7 +288,7 @@ class BaseByMoment(_OfPlace):
     words = "any function of the overturning moment in the base"
     moves = ("z", "rx", "ry")
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 1, value) of linear, even, mixed and saturating functions of the moment."""
         mx, my = ca.vertsplit(context.moment(1)[:2] / context.peak_moment) if context else (0.0, 0.0)
         one_sided = {"ax": ca.sqrt(mx**2 + 1e-4), "ay": ca.sqrt(my**2 + 1e-4), "xy": mx * my}
@@ -324,10 +309,9 @@ class AxisByAngle(_OfPlace):
     words = "any motion of the axis of joint {joint} over q{joint}"
     moves = ("x", "y", "rx", "ry")
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 0.8, value) of sine and cosine of the angle's harmonics 1 to 4."""
-        q = context.turned(self.joint or 0) if context else 0.0
-        return [(f"{n}{h}", 0.8, f(h * q)) for h in range(1, 5) for n, f in (("s", ca.sin), ("c", ca.cos))]
+        return _harmonics(context.turned(self.joint or 0) if context else 0.0, 4, 0.8)
 
     def link(self, number: int, context: Context) -> Symbolic:
         """Return tilt and shift of the axis as a transform (4, 4) [m] in the link's frame.
@@ -352,7 +336,7 @@ class SmoothInJoints(_Series):
         """Return one effect for every pair of joints."""
         return (cls(None, arm.n, i, j) for i, j in combinations(arm.numbers, 2))
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 1, value) of the four products of a sine or cosine of each angle."""
         a, b = (context.q[self.first - 1], context.q[self.second - 1]) if context else (0.0, 0.0)
         parts = (("s", ca.sin), ("c", ca.cos))
@@ -367,10 +351,9 @@ class SmoothInTime(_Series):
     words = "smooth in time"
     needs = ("progress",)
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, 1 / order, cosine of order pi t), orders 1 to 6; t is the progress."""
-        t = context.conditions["progress"] if context else 0.0
-        return [(f"t{h}", 1 / h, ca.cos(ca.pi * h * t)) for h in (1, 2, 3, 4, 5, 6)]
+        return _walk(context, 6, 1.0)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         """Return typical size and unit of each coefficient, of joints, measuring frame and tool.
@@ -399,10 +382,7 @@ class SmoothInTime(_Series):
         return T
 
     def _moved(self, context: Context, what: str) -> Symbolic:
-        """Return a displacement, shape (3,) [m], by the series in time.
-
-        what : "m" of the measured point in the measuring frame, "e" of the tool in the flange frame
-        """
+        """Return a displacement, shape (3,) [m], by the series in time."""
         terms = self.terms(context)
         return ca.vertcat(*(sum(self.value(context, f"{what}{c}_{n}") * f for n, _, f in terms) for c in "xyz"))
 
@@ -503,7 +483,7 @@ class SmoothInLoad(_Series):
         """Return the names of the columns of the directions of approach of all joints."""
         return tuple(f"approach{i}" for i in range(1, self.moved + 1))
 
-    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+    def terms(self, context: Context | None) -> Terms:
         """Return (name, relative prior size, value) of each function of load and approach.
 
         They are the components of gravity in the flange frame, in units of 9.81 m/s^2, tanh(2 load)
