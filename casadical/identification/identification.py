@@ -159,9 +159,9 @@ def with_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tupl
     """
     if method not in METHODS:
         raise InputError(f"method {method!r} is unknown; allowed: {', '.join(METHODS)}")
-    if method == "KM":  # rigid joints
-        return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)), ()
-    return with_unknown_masses(robot, sets)
+    if method != "KM":
+        return with_unknown_masses(robot, sets)
+    return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)), ()  # rigid joints
 
 
 def lacks_declared_compliance(robot: Robot) -> bool:

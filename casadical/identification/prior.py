@@ -31,7 +31,7 @@ from casadical.effects import Effect
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.measurements.measurements import Measurements
-from casadical.robot.robot import Covariance, Knowledge, Robot
+from casadical.robot.robot import Knowledge, Robot
 
 # Factor on the variances of a prior from another campaign: they come from the scatter within that
 # campaign, which does not contain the differences between campaigns.
@@ -210,28 +210,21 @@ def carry_over(
             "identify it with casadical, which writes [[covariance]] or std_error, or take it frozen"
         )
     sizes = {p.name: p.scale for p in taken}
-    blocks = (block.only(sizes) for block in knowledge.covariance)
-    wider = (1.0, 0.0) if knowledge.robots else (PRIOR_VARIANCE_FACTOR, CHANGE_SIGMA_OF_SCALE)
-    covariances = tuple((block.names, _widened_covariance(block, sizes, *wider)) for block in blocks if block.names)
+    # The robot may have changed since an earlier campaign: the covariance is widened.
+    factor, change_share = (1.0, 0.0) if knowledge.robots else (PRIOR_VARIANCE_FACTOR, CHANGE_SIGMA_OF_SCALE)
+    covariances: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    for block in (block.only(sizes) for block in knowledge.covariance):
+        variances = np.diag(block.matrix)
+        if not (variances > 0).all():
+            zero = block.names[int(np.argmin(variances))]
+            raise InputError(
+                f"prior: covariance: the variance of {zero} is zero; it must be positive, or take it frozen"
+            )
+        change = change_share * np.array([sizes[name] for name in block.names])
+        covariances += ((block.names, factor * block.matrix + np.diag(change**2)),) if block.names else ()
     errors = {name: float(s) for names, C in covariances for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
     means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}
     return model, Prior(tuple(means), means, covariances, labels, knowledge)
-
-
-def _widened_covariance(
-    block: Covariance, scales: Mapping[str, float], variance_factor: float, change_share: float
-) -> Array:
-    """Return the prior covariance of a campaign from that of an earlier one, shape (k, k) [SI].
-
-    scales : scale of each parameter [SI]
-    variance_factor : factor on that covariance
-    """
-    variances = np.diag(block.matrix)
-    if not (variances > 0).all():
-        name = block.names[int(np.argmin(variances))]
-        raise InputError(f"prior: covariance: the variance of {name} is zero; it must be positive, or take it frozen")
-    change = change_share * np.array([scales[name] for name in block.names])
-    return variance_factor * block.matrix + np.diag(change**2)
 
 
 def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:

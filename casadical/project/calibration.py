@@ -386,15 +386,19 @@ def calibrate(
     if method is not None:
         networks = () if method in BASE_METHODS else (method,)
         problem = replace(problem, methods=base_methods([method]), networks=networks)
+    parts = problem.parts()
     for fault in (*unfitted(problem.sets), problem.unnamed_targets):
         if fault:
             raise InputError(fault)
     # Held-out poses are checked like the others, as the accuracy is stated of them.
-    check_against(problem.robot, *(m for _, m in problem.parts()))
+    check_against(problem.robot, *(m for _, m in parts))
     problem, corrected = _without_camera_errors(problem)
     results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
     used = used_poses(problem, results)
     sets = error_groups(used).items()
+    accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
+    refitted = _refitted(problem, results, show)
+    alone = accuracy_without_prior(plain, results, used) if plain else None
     trained = None
     if problem.networks:
 
@@ -408,9 +412,7 @@ def calibrate(
             problem, sets={k: tuple(next(inlier_sets) for _ in parts) for k, parts in problem.sets.items()}
         )
         trained = train_networks(inliers, skcm, names, seed=problem.seed, show=progress)
-    accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
-    alone = accuracy_without_prior(plain, results, used) if plain else None
-    return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show), corrected)
+    return Calibration(problem, results, accuracies, trained, alone, refitted, corrected)
 
 
 def _without_camera_errors(problem: Problem) -> tuple[Problem, ArmOrCamera | None]:
