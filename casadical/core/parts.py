@@ -17,9 +17,11 @@ from functools import cached_property
 from typing import Literal, TypeVar
 
 import numpy as np
+from pydantic import ConfigDict
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
+from casadical.core.schema import TomlTable
 
 # Smallest angle between consecutive joint axes that are not nearly parallel [rad]; below it the
 # parameter beta replaces d.
@@ -275,13 +277,16 @@ class BodyWidth:
     centre: float = 0.03
 
 
-@dataclass(frozen=True)
-class Sessions:
+class Sessions(TomlTable):
     """Which parameters are identified anew in each session of a campaign (own) or once (shared).
+
+    It is the table [sessions] of problem.toml, too.
 
     base, tool : parameters of the base's and the tool's frame
     zeros : joint zero offsets
     """
+
+    model_config = ConfigDict(frozen=True)
 
     base: Literal["own", "shared"] = "own"
     tool: Literal["own", "shared"] = "own"

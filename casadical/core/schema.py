@@ -112,7 +112,7 @@ class TomlTable(BaseModel):
     @classmethod
     def keys(cls) -> list[str]:
         """Return the key of every field as it is written in a file, with the first of its units."""
-        quantities = {name: _quantity(field.metadata) for name, field in cls.model_fields.items()}
+        quantities = {f.alias or name: _quantity(f.metadata) for name, f in cls.model_fields.items()}
         return [name + next(iter(q.factors)) if q else name for name, q in quantities.items()]
 
 

@@ -257,7 +257,7 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     from casadical.compensator.trainers.registry import network_methods
 
     place, urdf = folder / (file.of_campaigns if campaign else file.robot), file.urdf or UrdfTable()
-    robot, prior = carried(replace(robot_of_file(place, urdf), sessions=file.sessions.sessions()))
+    robot, prior = carried(replace(robot_of_file(place, urdf), sessions=file.sessions))
     sets = file.sets if seed is None else file.sets.model_copy(update={"seed": seed})
     measured = each_of(partial(_read, folder, data, robot, sets) for data in file.measurements)
     split: dict[str, list[Measurements]] = {}
@@ -302,7 +302,7 @@ def read_problem_robot(folder: str | Path, *, campaign: bool = False) -> Robot:
     folder = Path(folder)
     file = problem_file(folder)
     name = file.of_campaigns if campaign else file.robot
-    return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
+    return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions)
 
 
 def read_campaign_robot(folder: str | Path) -> Robot:

@@ -12,7 +12,6 @@ import numpy as np
 import tomlkit
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
     Discriminator,
     Field,
@@ -25,7 +24,7 @@ from pydantic import (
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import MAX_ITEMS, load_json, load_toml, missing, read_bytes
-from casadical.core.schema import VALUE_FORMS, WHOLE_NUMBER, FaultError, Triple, check
+from casadical.core.schema import VALUE_FORMS, WHOLE_NUMBER, FaultError, TomlTable, Triple, check
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.corners import INTRINSICS, CameraErrors
@@ -42,20 +41,14 @@ BaseMethod = Literal["KM", "SKCM"]
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 
 
-class _Strict(BaseModel):
-    """A table of problem.toml; unknown keys, other types and infinite numbers are refused."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, defer_build=True)
-
-
-class _Separation(_Strict):
+class _Separation(TomlTable):
     """A given distance [mm] between two touched points."""
 
     between: list[str] = Field(min_length=2, max_length=2)
     distance_mm: float = Field(gt=0)
 
 
-class _Source(_Strict):
+class _Source(TomlTable):
     """How a column is made (see `casadical.measurements.columns.Source`)."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True, populate_by_name=True, defer_build=True)
@@ -63,7 +56,7 @@ class _Source(_Strict):
     name: str = Field(alias="from")
     times: float = 1.0
     plus: float = 0.0
-    add: dict[str, float] = {}
+    add: dict[str, float] = Field(default={})
     rows: int = 0
 
     @model_validator(mode="after")
@@ -84,7 +77,7 @@ def _form(value: Any) -> str:
 _Made = Annotated[Annotated[str, Tag(VALUE_FORMS[0])] | Annotated[_Source, Tag(VALUE_FORMS[1])], Discriminator(_form)]
 
 
-class _Intrinsics(_Strict):
+class _Intrinsics(TomlTable):
     """Intrinsics of a camera [px], and k1, k2, p1, p2, k3 of its distortion as OpenCV has them."""
 
     fx: float = Field(gt=0)
@@ -100,14 +93,14 @@ class _Intrinsics(_Strict):
         return dict(zip(INTRINSICS, values, strict=True))
 
 
-class CameraErrorsTable(_Strict):
+class CameraErrorsTable(TomlTable):
     """Errors of a camera taken off its poses (see `corners.CameraErrors`); board centre [mm]."""
 
     focal: float = Field(default=0.0, gt=-0.2, lt=0.2)
     tilt: float = Field(default=0.0, gt=-0.2, lt=0.2)
     board: float = Field(default=0.0, gt=-0.2, lt=0.2)
     distortion: float = Field(default=0.0, gt=-1.0, lt=1.0)
-    middle_mm: Triple = [0.0, 0.0, 0.0]
+    middle_mm: Triple = Field(default=[0.0, 0.0, 0.0])
 
     def taken_off(self, m: Measurements) -> Measurements:
         """Return the poses as a camera without these errors has them."""
@@ -115,7 +108,7 @@ class CameraErrorsTable(_Strict):
         return m.without_errors(errors, 1e-3 * np.array(self.middle_mm))
 
 
-class DataTable(_Strict):
+class DataTable(TomlTable):
     """[[measurements]] of problem.toml: a file with a table, and how it is interpreted.
 
     file, kind : path from the problem folder; kind of measurement, None: by the columns
@@ -134,12 +127,12 @@ class DataTable(_Strict):
 
     file: str
     kind: str | None = None
-    columns: dict[Annotated[str, Field(min_length=1)], _Made] = {}
-    leave_out: list[int] = []
+    columns: dict[Annotated[str, Field(min_length=1)], _Made] = Field(default={})
+    leave_out: list[int] = Field(default=[])
     session: str = Field(default="", min_length=1)
-    tools: dict[str, list[int]] = {}
-    point_from: list[str] = []
-    separation: list[_Separation] = []
+    tools: dict[str, list[int]] = Field(default={})
+    point_from: list[str] = Field(default=[])
+    separation: list[_Separation] = Field(default=[])
     sigma_mm: float | None = Field(default=None, gt=0)
     sigma_deg: float | None = Field(default=None, gt=0)
     datasheet_mm: float | None = Field(default=None, gt=0)
@@ -201,7 +194,7 @@ class DataTable(_Strict):
         )
 
 
-class SetsTable(_Strict):
+class SetsTable(TomlTable):
     """[sets] of problem.toml: the split of the poses, by shares, by numbers or by a column.
 
     refit : whether the robots that are written are fitted to all poses, once judged
@@ -235,18 +228,6 @@ class SetsTable(_Strict):
         if given == {"identify": 1.0}:  # the whole table, not one pose
             return {"identify": math.nextafter(1.0, 0.0)}
         return given or {"identify": 0.7, "report": 0.3}
-
-
-class SessionsTable(_Strict):
-    """[sessions] of problem.toml: what each session of a campaign has of its own."""
-
-    base: Literal["own", "shared"] = "own"
-    tool: Literal["own", "shared"] = "own"
-    zeros: Literal["own", "shared"] = "shared"
-
-    def sessions(self) -> Sessions:
-        """Return the declaration as part of a robot."""
-        return Sessions(self.base, self.tool, self.zeros)
 
 
 class UrdfTable(RobotTables):
@@ -310,7 +291,7 @@ def _checked_method(name: str) -> str:
     return name
 
 
-class Paper(_Strict):
+class Paper(TomlTable):
     """[paper] of problem.toml: published figures to compare with.
 
     source : of the figures
@@ -319,8 +300,8 @@ class Paper(_Strict):
     """
 
     source: str
-    calibration: dict[str, Triple] = {}
-    validation: dict[str, Triple] = {}
+    calibration: dict[str, Triple] = Field(default={})
+    validation: dict[str, Triple] = Field(default={})
 
     @field_serializer("calibration", "validation")
     def _named(self, table: dict[str, Triple]) -> dict[str, dict[str, float]]:
@@ -337,7 +318,7 @@ class Paper(_Strict):
         return self
 
 
-class LogsTable(_Strict):
+class LogsTable(TomlTable):
     """[logs] of problem.toml: files of joint logs.
 
     identify : whole motions that may be fitted
@@ -345,7 +326,7 @@ class LogsTable(_Strict):
     """
 
     identify: list[str] = Field(min_length=1)
-    report: list[str] = []
+    report: list[str] = Field(default=[])
 
     @model_validator(mode="after")
     def _apart(self) -> LogsTable:
@@ -355,7 +336,7 @@ class LogsTable(_Strict):
         return self
 
 
-class ProblemFile(_Strict):
+class ProblemFile(TomlTable):
     """The contents of problem.toml (docs/problem-folder.md lists the keys)."""
 
     casadical: Annotated[Literal[1], WHOLE_NUMBER]
@@ -371,7 +352,7 @@ class ProblemFile(_Strict):
     measurements: list[DataTable] = Field(default=[], max_length=MAX_ITEMS)
     logs: LogsTable | None = None
     sets: SetsTable = SetsTable()
-    sessions: SessionsTable = SessionsTable()
+    sessions: Sessions = Sessions()
 
     @property
     def of_campaigns(self) -> str:

@@ -404,7 +404,7 @@ def in_two_sessions(m: Measurements, moved: np.ndarray) -> Measurements:
 @pytest.mark.slow
 def test_a_moved_foot_is_a_cause_where_the_base_is_said_to_be_shared() -> None:
     near = frame(from_rpy(np.array([2e-4, -1e-4, 1e-4])), np.array([1e-4, 2e-4, -1e-4]))
-    shared = replace(robot("ur10e"), sessions=Sessions("shared", "shared", "shared"))
+    shared = replace(robot("ur10e"), sessions=Sessions(base="shared", tool="shared", zeros="shared"))
     d = diagnose(shared, in_two_sessions(simulated("ur10e", 21, n=70), near))
     assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["frame_step"])
 
