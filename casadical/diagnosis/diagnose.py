@@ -222,10 +222,9 @@ class _Question:
             self.show("what changed since the campaign of the prior")
             changed, unchanged = changes(case, prior)
         if not case.observations.plain:  # a step would count as noise of its set
-            noise, stepped = likely_noise(case.judged.log_base(), case.judged.sigmas), case
+            noise = likely_noise(case.judged.log_base(), case.judged.sigmas)
             steps = shown_by(case, NO_COLUMNS, noise, case.form)[1]
-            for step, label in steps.items():
-                stepped = stepped.with_variants(label, [(step,)])
+            stepped = case.with_variants({(step,): label for step, label in steps.items()})
             if ratios := updated_ratios(stepped, np.sort(stepped.group([*steps])), noise):
                 case = self.case(ratios).with_inliers(case.inliers)
         found = self.searched(case := self.with_unchanged_prior(case, unchanged))
@@ -277,7 +276,7 @@ class _Question:
         other = make_case(calibrate_base_model(upright), near, self.prepared.free)
         other, said = other.with_inliers(case.inliers).with_form(case.form), []
         for cause in causes:
-            ranking = State(other.with_variants(cause.label, [cause.effects])).rank(())
+            ranking = State(other.with_variants({cause.effects: cause.label})).rank(())
             if ranking.order[0] != cause.label or ranking.probability[cause.label] < SETTINGS.min_claim:
                 said.append(
                     f"the instrument is level, and the axis of joint 1 leans by {lean:.2g} deg: {cause.label} hangs on "

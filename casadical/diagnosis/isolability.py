@@ -28,7 +28,7 @@ from casadical.diagnosis.candidates import (
     gathered_by_columns,
 )
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.linear_problem import Case, base_prior_sigmas, column_indices, widths
+from casadical.diagnosis.linear_problem import Case, base_prior_sigmas, column_indices
 from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
@@ -156,7 +156,7 @@ def isolability(
         J,
         0 * values,
         base_prior_sigmas(robot),
-        array_columns(E * widths(used)),
+        array_columns(E * [size for e in used for size, _ in e.sizes().values()]),
         noise.sigma,
         Jq=Jq,
     )

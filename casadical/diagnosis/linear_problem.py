@@ -344,21 +344,22 @@ class Case:
 
         The kinds would else be compared at different times, those of their grids.
         """
-        case = self
-        for c in self.candidates if time is not None else ():
-            events: list[Any] = [e for v in c.variants for e in v if hasattr(e, "at")]
-            moved = dict.fromkeys(replace(event, at=time) for event in events)
-            new = [(event,) for event in moved if event not in case.columns]
-            case = case.with_variants(c.label, new) if new else case
-        return case
+        if time is None:
+            return self
+        every = [(cast(Any, e), c.label) for c in self.candidates for v in c.variants for e in v if hasattr(e, "at")]
+        moved = {(replace(event, at=time),): label for event, label in every}
+        return self.with_variants({v: label for v, label in moved.items() if v[0] not in self.columns})
 
-    def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
-        """Return the case with additional variants (settings) of the candidate of a label.
+    def with_variants(self, variants: Mapping[tuple[Effect, ...], str]) -> Case:
+        """Return the case with additional variants (settings) of candidates.
 
-        variants : effects of each new variant
+        variants : label of the candidate by the effects of each new variant
         """
+        if not variants:
+            return self
         candidates = tuple(
-            replace(c, variants=(*c.variants, *variants)) if c.label == label else c for c in self.candidates
+            replace(c, variants=(*c.variants, *(v for v, label in variants.items() if label == c.label)))
+            for c in self.candidates
         )
         effects = tuple(dict.fromkeys(e for v in variants for e in v if e not in self.columns))
         if not effects:
@@ -537,11 +538,6 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
     # Ratios count as assumed if their logarithms change by at most 0.2.
     return more if np.abs(change[counts]).max() > 0.2 else None
-
-
-def widths(effects: Sequence[Effect]) -> Array:
-    """Return the typical size of every parameter of the effects, shape (parameters,) [SI]."""
-    return np.array([size for e in effects for size, _ in e.sizes().values()])
 
 
 def column_indices(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:

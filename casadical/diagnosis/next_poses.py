@@ -21,7 +21,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise, new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, REPEATABILITY, joint_noise
-from casadical.diagnosis.linear_problem import Case, widths
+from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation, linearise
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
@@ -45,7 +45,7 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     J = np.concatenate([poses.J, points], axis=2)
     for units in (case.units, combinations):
         J = J if units is None else J @ units
-    new = np.concatenate([J, E * widths(variant)], axis=2)
+    new = np.concatenate([J, E * [size for e in variant for size, _ in e.sizes().values()]], axis=2)
     # The prior standard deviation of a cause's parameters is two sizes.
     fit = new_fit(replace(old, cause_prior=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
     return new @ fit.x, new @ fit.root.T

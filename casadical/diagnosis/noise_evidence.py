@@ -11,10 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import serial_columns
-from casadical.core.linear_gaussian.marginals import marginals_of
-from casadical.core.linear_gaussian.noise import SerialNoise, serial_noise
-from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS, as_slice, serial_columns
+from casadical.core.linear_gaussian.marginals import POINT_LOG_EVIDENCE_WINDOW
+from casadical.core.linear_gaussian.noise import Axes, NoiseModel, SerialNoise, serial_noise
+from casadical.core.linear_gaussian.normal_equations import Joined, joined_base
+from casadical.core.statistics import first_of_best
+from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence, joint_noise, log_noise_prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +31,7 @@ class Form:
     scale : factor on the noise of each pose, in the order of measuring, shape (n,), or on the
         instrument's noise of each number, shape (n, 3); None for ones
     axes : rotation of each pose's numbers into the axes of `scale`, in the order of measuring,
-        shape (n, 3, 3), in models without candidates; None for x, y and z
+        shape (n, 3, 3); None for x, y and z
     log_weight : term added to log likelihoods: log prior and log determinant of the prewhitening
     """
 
@@ -71,48 +73,95 @@ class Form:
 WHITE_FORM = Form()
 
 
-def prewhitened(e: Evidence, form: Form, order: Array | None = None) -> Evidence:
+def prewhitened(e: Evidence, form: Form, order: Array) -> Evidence:
     """Return the model in the order of measuring, its rows prewhitened for a form of noise.
 
     Its log likelihoods are those under this noise minus the form's log_weight.
-    order : indices of the poses in the order of measuring, shape (n,); None for a model without
-        candidates whose poses are in this order
+    order : indices of the poses in the order of measuring, shape (n,)
     """
-    own, noise = e if order is None else e.at(order), form.serial(len(e.r))
-    if form.axes is not None:
-        r = (form.axes @ own.r[:, :, None])[:, :, 0]
-        own = replace(own, r=r, J=form.axes @ own.J, Jq=form.axes @ own.Jq)
-    E = e.E if order is None else serial_columns(e.E, order, noise)
-    return replace(own, r=noise.whiten(own.r), J=noise.whiten(own.J), Jq=form.repeatability(own.Jq), E=E)
+    own, noise = e.at(order), form.serial(len(e.r))
+    r, J, E = noise.whiten(own.r), noise.whiten(own.J), serial_columns(e.E, order, noise)
+    return replace(own, r=r, J=J, Jq=form.repeatability(own.Jq), E=E)
 
 
 class Problem:
     """A linear model with causes in its base, evaluated under several forms of noise.
 
-    e : the model; chosen : columns of the causes, shape (k,)
+    The columns of a part of an effect move a pose through few variables, one joint for example:
+    their Gram matrix is a sum over pairs of these with fewer products than that of whitened rows.
+    e : the model; chosen : columns of the causes, rising, shape (k,)
     order : indices of the poses in the order of measuring, shape (n,)
     """
 
     def __init__(self, e: Evidence, chosen: Array, order: Array) -> None:
-        self.e, self.chosen = e, chosen
-        models = (e, *(other for _, other in e.at_other_ratios))
-        self._own, *self._others = (own.with_causes_alone(chosen).at(order) for own in models)
+        self.e, self.chosen, self._order = e, chosen, order
+        self._others = [Problem(other, chosen, order) for _, other in e.at_other_ratios]
+        runs = [(end - first, V is not None) for first, end, V in e.combined(chosen).blocks]
+        in_parts = np.repeat([inside for _, inside in runs], [k for k, _ in runs]).astype(bool)
+        parts, others = chosen[in_parts], chosen[~in_parts]
+        every, widths = e.combined(parts), e.cause_prior_sigmas
+        factors = e.E.factors(WHOLE_AXIS, parts).combined(every).at(order)
+        self._factors = [(as_slice(own), values) for _, own, values in factors.blocks]
+        self._levers = e.E.levers(order)[:, :, [variable for variable, _, _ in factors.blocks]]
+        # The other columns, and the residual as the last one.
+        self._rows = np.concatenate([e.J, e.take(others), e.r[:, :, None]], axis=2)[order]
+        prior = np.concatenate([every.per_combination(widths[parts]), e.prior, widths[others]])
+        self._prior = e.reference / prior, np.pad(e.delta0, (every.width, len(others)))
         # Contribution to the log likelihood of the directions of the causes that no pose shows.
-        combined, widths = e.combined(chosen), e.cause_prior_sigmas[chosen]
-        self._lost = combined.sum_over_dropped(np.log(e.reference / widths))
-        self._cache: dict[Form, tuple[Array, dict[int, Array]]] = {}
+        self._lost = every.sum_over_dropped(np.log(e.reference / widths[parts]))
+        white = e.log_base(chosen)[list(e.near)].max(axis=1)
+        self._first = first_of_best(white, logs=True)  # place in `near` of the likeliest point of white noise
+        self._cache: dict[Form, tuple[Array, dict[int, Joined], NoiseModel]] = {}
 
     def log_likelihood(self, form: Form) -> Array:
         """Return the log likelihood under a form of noise, shape (rhos, sigmas).
 
         The form's log_weight and the prior of the noise are included; results are cached by form.
+        Points are visited from the likeliest of white noise to both sides until they are
+        negligible; the others have minus infinity.
         """
         if form not in self._cache:
-            own = marginals_of(prewhitened(self._own, form))
-            others = (prewhitened(e, form).log_base() for e in self._others)
-            log = self.e.averaged(own.log_base(), others)
-            self._cache[form] = log + form.log_weight - self._lost, own.estimates_of_base()
+            e, Jq = self.e, self.e.Jq[self._order]
+            noise = joint_noise(form.repeatability(Jq if form.axes is None else form.axes @ Jq))
+            prior = log_noise_prior(e, noise.components[REPEATABILITY])
+            (axes,), at = noise.axes(e.grid.ratios), {}
+            own = np.full(prior.shape, -np.inf)
+            for run in (e.near[self._first :], e.near[: self._first][::-1]):
+                for k in run:
+                    at[k] = joined_base(self._gram(form, axes, k), *self._prior, axes.log_det[k])
+                    own[k] = e.log_over_sigmas(at[k].square, at[k].log_norm) + prior[k]
+                    if own[k].max() < own.max() - POINT_LOG_EVIDENCE_WINDOW:
+                        break
+            others = (other.log_likelihood(form) for other in self._others)
+            self._cache[form] = e.averaged(own + form.log_weight - self._lost, others), at, noise
         return self._cache[form][0]
+
+    def _gram(self, form: Form, axes: Axes, k: int) -> Array:
+        """Return the Gram matrix of all whitened columns and, last, the residual at a grid point.
+
+        axes : of the form's noise; k : index of the point
+        """
+        serial, width = form.serial(len(self._rows)), len(self._prior[0]) + 1
+        W = np.sqrt(axes.precision[k])[:, :, None] * axes.rotation.transpose(0, 2, 1)
+        W = W * serial.weight.reshape(len(W), 1, -1)
+        W = W if form.axes is None else W @ form.axes
+        rows, through = W @ self._rows, [(W @ self._levers, self._factors)]
+        if serial.is_autocorrelated:
+            before = np.maximum(np.arange(len(W)) - 1, 0)
+            share = -serial.ar_coefficient[:, None, None] * W
+            rows += share @ self._rows[before]
+            through += [(share @ self._levers[before], [(k, v[:, before]) for k, v in self._factors])]
+        variables = [(U[:, :, i], *one) for U, every in through for i, one in enumerate(every)]
+        # Products of a variable with itself count half.
+        half, first = np.zeros((width, width)), width - rows.shape[2]
+        half[first:, first:] = np.tensordot(rows, rows, ((0, 1), (0, 1))) / 2
+        for i, (lever, own, values) in enumerate(variables):
+            half[own, first:] += values @ np.einsum("ni,nid->nd", lever, rows)
+            scaled = values * np.sqrt((lever**2).sum(axis=1) / 2)
+            half[own, own] += scaled @ scaled.T
+            for other, columns, more in variables[i + 1 :]:
+                half[own, columns] += (values * (lever * other).sum(axis=1)) @ more.T
+        return half + half.T
 
     def residual(self, form: Form, rho: int) -> Array:
         """Return the whitened residual of the fit, in the order of measuring, shape (n, 3) [m].
@@ -120,7 +169,11 @@ class Problem:
         rho : index of the repeatability ratio in `RHO_GRID`
         """
         self.log_likelihood(form)
-        moved = prewhitened(self._own, form)
-        W, _ = moved.noise.whitening({REPEATABILITY: float(RHO_GRID[rho])})
-        r = moved.r - moved.J @ self._cache[form][1][rho]
-        return np.asarray((W @ r[:, :, None])[:, :, 0])
+        _, at, noise = self._cache[form]
+        W, _ = noise.whitening({REPEATABILITY: float(RHO_GRID[rho])})
+        x, first = at[rho].estimate, 1 - self._rows.shape[2]
+        r = self._rows @ np.append(-x[first:], 1.0)
+        for i, (own, values) in enumerate(self._factors):
+            r -= self._levers[:, :, i] * (x[own] @ values)[:, None]
+        r = r if form.axes is None else (form.axes @ r[:, :, None])[:, :, 0]
+        return np.asarray((W @ form.serial(len(r)).whiten(r)[:, :, None])[:, :, 0])

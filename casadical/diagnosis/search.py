@@ -238,11 +238,9 @@ class State:
         lines, steps = shown_by(case, columns, noise, case.form)
         for step in steps:
             case = case.with_events_at(step.at)
-        for joint, cycles in sorted(lines):
-            ripple = TransmissionRipple(joint, cycles=cycles)
-            if ripple.label in self.by_label and ripple not in case.columns:
-                case = case.with_variants(ripple.label, [(ripple,)])
-        return replace(self, case=case)
+        ripples = (TransmissionRipple(joint, cycles=cycles) for joint, cycles in sorted(lines))
+        new = (r for r in ripples if r.label in self.by_label and r not in case.columns)
+        return replace(self, case=case.with_variants({(r,): r.label for r in new}))
 
     def revisited(self) -> State:
         """Return the state with each cause replaced by the most probable one given the others.

@@ -70,7 +70,7 @@ def refined(
         trial: list[tuple[Effect, ...]] = [variant, *((e,) for e in neighbours(variant[0], 0.5**halved))]
         if len(trial) == 1:
             break
-        case = case.with_variants(label, trial[1:])
+        case = case.with_variants(dict.fromkeys(trial[1:], label))
         log = _log_evidence(case, trial, chosen)
         best = _best(case, trial, log, chosen)
         if log[best] - log[0] < 0.3:  # nats
@@ -97,7 +97,7 @@ def _between_poses(case: Case, label: str, effect: Effect, chosen: Array) -> tup
     # Four poses to each side: the search before stops within a few poses.
     near = middles[max(after - 5, 0) : after + 4].tolist()
     trial: list[tuple[Effect, ...]] = [*((replace(step, at=middle),) for middle in near), (effect,)]
-    case = case.with_variants(label, trial[:-1])
+    case = case.with_variants(dict.fromkeys(trial[:-1], label))
     return case, trial[_best(case, trial, _log_evidence(case, trial, chosen), chosen)][0]
 
 
@@ -124,7 +124,7 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     plain = [_with(effect, **{name: k}) for k in near]
     joined = [_with(e, **{other: v}) for e in plain for other, v in tried]
     every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]
-    case = case.with_variants(label, every[1:])
+    case = case.with_variants(dict.fromkeys(every[1:], label))
     log = _log_evidence(case, every, chosen)
     # A whole number may lack 2 nats and still be preferred to the fraction; an additional setting
     # must gain 5 nats over the fraction, and 7 nats over a whole number.
@@ -136,7 +136,7 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     (other,) = {other for other, _ in tried}
     value = float(getattr(best, other))
     fine: list[tuple[Effect, ...]] = [(_with(best, **{other: value + step}),) for step in (0.0, -0.6, -0.3, 0.3, 0.6)]
-    case = case.with_variants(label, fine)
+    case = case.with_variants(dict.fromkeys(fine, label))
     return case, fine[first_of_best(_log_evidence(case, fine, chosen), logs=True)]
 
 

@@ -309,8 +309,9 @@ class _WhitenedResidual:
         coarse = np.unique(np.linspace(1, n - 1, 30).round().astype(int))
         pairs = coarse[np.array(np.triu_indices(len(coarse), 1))]
         least, shown = log(SETTINGS.max_structure_chance / len(kinds)), tuple[Any, ...]()
-        for event, label in kinds.items():
-            chances = self._chances_of_steps(event, label)
+        case = self.case.with_variants({(event,): kind for event, kind in kinds.items()})
+        for event in kinds:
+            chances = self._chances_of_steps(case, event)
             first, second = pairs[:, np.argmin(chances(*pairs))]
             first = every[np.argmin(chances(every[: second - 1], np.full(second - 1, second)))]
             later = every[first:]
@@ -324,12 +325,12 @@ class _WhitenedResidual:
                     shown = tuple(replace(event, at=float(between[k - 1])) for k in starts)
         return {step: kinds[replace(step, at=-1.0)] for step in shown}
 
-    def _chances_of_steps(self, event: Any, label: str) -> Callable[..., Array]:
+    def _chances_of_steps(self, case: Case, event: Any) -> Callable[..., Array]:
         """Return a function of the poses where steps begin: their log chances, shape (trials,).
 
-        A step's columns are those of an event before all poses, cut off there.
+        A step's columns are those of an event of the case before all poses, cut off there.
         """
-        n, case = len(self.squares), self.case.with_variants(label, [(event,)])
+        n = len(self.squares)
         G = self.rows(case.evidence.take(case.columns[event])[self._order[self.pick]])
         G = G.reshape(n, -1, G.shape[1])
         sums = (G.transpose(0, 2, 1) @ G, G.transpose(0, 2, 1) @ self.y.reshape(n, -1, 1))

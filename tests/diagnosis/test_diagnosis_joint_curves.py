@@ -174,7 +174,7 @@ def test_learnt_sizes_stay_where_other_causes_get_further_settings() -> None:
     own = sized.columns[effect]
     before = sized.whole.cause_prior_sigmas[own]
     assert before == pytest.approx(0.5 * known.whole.cause_prior_sigmas[own])
-    more = sized.with_variants("transmission_ripple@2", [(TransmissionRipple(2, cycles=9.3),)])
+    more = sized.with_variants({(TransmissionRipple(2, cycles=9.3),): "transmission_ripple@2"})
     assert more.whole.width > sized.whole.width
     for problem in (more.whole, more.evidence):
         assert problem.cause_prior_sigmas[own] == pytest.approx(before)

@@ -65,7 +65,7 @@ def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> Non
     assert step.at == pytest.approx((progress[~after][-1] + progress[after][0]) / 2)
     assert next(iter(shown_by(start, NOTHING, ranking.noise[""], start.form)[1])).at == pytest.approx(step.at, abs=0.02)
     for at in (progress[~after][-1], progress[after][0] - 1e-6):  # wherever it lies between the two, it fits alike
-        same = found.with_variants("joint_zero_step@3", [(replace(step, at=float(at)),)])
+        same = found.with_variants({(replace(step, at=float(at)),): "joint_zero_step@3"})
         assert evidence(same, (replace(step, at=float(at)),)) == pytest.approx(evidence(found, (step,)), abs=1e-9)
 
 

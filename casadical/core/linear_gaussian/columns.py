@@ -104,10 +104,6 @@ class Columns:
 
         return Columns((*self.shape[:2], len(columns)), block, self.levers)
 
-    def after(self, column: int) -> Columns:
-        """Return the columns from this index on, at which the columns of a cause begin."""
-        return self.only(np.arange(column, self.shape[2]))
-
     def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
         """Return the columns of some indices at some blocks, shape (blocks, m, len(columns)).
 

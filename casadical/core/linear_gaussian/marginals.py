@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import Columns, Combined
+from casadical.core.linear_gaussian.columns import Combined
 from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.noise import log_gain
-from casadical.core.linear_gaussian.normal_equations import Joined, joined
+from casadical.core.linear_gaussian.normal_equations import Joined, joined, joined_base
 from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, CachedRows, GridSums
 
 # Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
@@ -66,11 +66,6 @@ class Chosen:
         own = self.V[k][columns]
         return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
 
-    def emptied(self, width: int) -> Chosen:
-        """Return this model of the base alone with empty caches for `width` other columns."""
-        V, b = ({k: CachedRows(width, rows.numbers) for k, rows in part.items()} for part in (self.V, self.b))
-        return replace(self, V=V, b=b)
-
     def widened(self, width: int, memo: dict[int, Chosen]) -> Chosen:
         """Return the same model for `width` columns, at least as many, with the same caches.
 
@@ -89,48 +84,12 @@ class Marginals:
     Sums over the blocks, and models with groups in them, are cached.
     """
 
-    def __init__(self, model: LinearModel) -> None:
+    def __init__(self, model: LinearModel, same: GridSums | None = None) -> None:
         # The model's cache holds this object: a cycle would wait for the garbage collector.
         self.model = copy(model)
         object.__setattr__(self.model, "cache", {})
-        self.sums = GridSums(model)
+        self.sums = GridSums(model, same)
         self._chosen: dict[bytes, Chosen] = {}
-
-    def extended(self, model: LinearModel) -> Marginals:
-        """Return the marginals of a model, with the caches of this one for its first columns.
-
-        model : the model of this object with additional columns at the end; without any, only the
-            sums are taken over
-        """
-        more = Marginals(model)
-        more.sums.extend(self.sums)
-        if model.width > self.model.width:
-            made: dict[int, Chosen] = {}
-            more._chosen = {key: chosen.widened(model.width, made) for key, chosen in self._chosen.items()}
-        return more
-
-    def with_other_columns(self, columns: Columns, prior_sigma: float) -> Marginals:
-        """Return the marginals of the same base and residual with other columns.
-
-        columns : columns that replace those of this model
-        prior_sigma : prior standard deviation of their parameters once they are in the model, in
-            typical sizes
-        """
-        more = copy(self)
-        more.model = replace(self.model, E=columns, cause_prior=np.full(columns.shape[2], prior_sigma))
-        more.sums = self.sums.with_other_columns(columns)
-        more._chosen = {NO_COLUMNS.tobytes(): self._model_with(NO_COLUMNS).emptied(columns.shape[2])}
-        return more
-
-    def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals:
-        """Return the marginals of a model with other blocks, whose sums are updated from these.
-
-        model : the model of this object without the blocks of `lost` and with those of `gained`
-        lost, gained : models of these blocks alone
-        """
-        more = Marginals(model)
-        more.sums.move(self.sums, Marginals(lost).sums, Marginals(gained).sums)
-        return more
 
     def log_base(self, also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood of the base and some columns, shape (points, sigmas).
@@ -138,13 +97,6 @@ class Marginals:
         also : indices of the columns. Points that are not in `near` have minus infinity.
         """
         return self._model_with(also).log_base
-
-    def estimates_of_base(self) -> dict[int, Array]:
-        """Return the estimate of the base parameters, shape (P,), by index of the grid point."""
-        from scipy.linalg import solve_triangular
-
-        at = self._model_with(NO_COLUMNS).at
-        return {k: solve_triangular(own.L.T, own.z) * own.scale for k, own in at.items()}
 
     def log_grids(self, groups: Sequence[Array], also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood with each group as a cause, (groups, points, sigmas, kappas).
@@ -199,13 +151,9 @@ class Marginals:
 
     def _base(self) -> Chosen:
         """Return the model with the base parameters alone, without columns of causes."""
-        model, P, sums = self.model, self.model.J.shape[2], self.sums
-        weights, at = model.reference / model.prior, {}
-        for k in model.near:
-            normal = np.diag(weights**2) + sums.base[k, :P, :P]
-            right = sums.base[k, :P, P] + weights**2 * model.delta0
-            square = float(sums.base[k, P, P] + (weights * model.delta0) @ (weights * model.delta0))
-            at[k] = joined(normal, right, square, -0.5 * float(sums.log_det[k]))
+        model, sums = self.model, self.sums
+        weights = model.reference / model.prior
+        at = {k: joined_base(sums.base[k], weights, model.delta0, sums.log_det[k]) for k in model.near}
         return self._chosen_model(at, NO_COLUMNS, None, NO_COLUMNS, Combined(()))
 
     def _join(self, columns: Array) -> Chosen:
@@ -286,7 +234,7 @@ class Marginals:
         base = chosen.log_base[list(near)].max(axis=1)
         best = int(np.argmax(np.maximum(base, narrow[list(near)])))
         # Ratios of the noise differ by less than a quarter of a nat a number.
-        hopeless = max(float(base.max()) - 50.0, float(narrow.max()) - max(50.0, 0.25 * self.sums.rows))
+        hopeless = max(float(base.max()) - 50.0, float(narrow.max()) - max(50.0, 0.25 * self.model.r.size))
         top = -np.inf
         for step in (1, -1):
             i = best if step > 0 else best - 1
@@ -295,7 +243,7 @@ class Marginals:
                 value, projected = self._spectrum(group, chosen, k)
                 own = value[None], projected[None]
                 out[k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], *own, chosen.at[k].square)[0]
-                if self.sums.rows < self.model.combined(group).width:
+                if self.model.r.size < self.model.combined(group).width:
                     out[k] -= loss_of_finer_noise(self.model, chosen.log_base[k])[:, None]
                 if out[k].max() < top - POINT_LOG_EVIDENCE_WINDOW:
                     break
@@ -314,7 +262,8 @@ class Marginals:
         k : index of the grid point
         """
         every = self.model.combined(group)
-        if self.sums.rows < every.width:  # with fewer rows than columns, the smaller matrix of the rows is decomposed
+        # With fewer rows than columns, the smaller matrix of the rows is decomposed.
+        if self.model.r.size < every.width:
             projection = self.model.with_base(chosen.columns).projection(self.model.grid.at(k))
             E = projection.columns(self.model.take(group))
             value, vector = np.linalg.eigh(E @ E.T)
@@ -339,9 +288,18 @@ def take_over_cache(model: LinearModel, other: LinearModel, changed: Sequence[Li
     changed : model of the blocks that `other` has and `model` has not, and model of the blocks that
         `model` has and `other` has not; empty: the blocks are the same
     """
-    if "marginals" in other.cache:
-        own = marginals_of(other)
-        model.cache["marginals"] = own.moved(model, *changed) if changed else own.extended(model)
+    if "marginals" not in other.cache:
+        return
+    own = marginals_of(other)
+    same = not changed and {*model.near} <= {*own.model.near}
+    model.cache["marginals"] = more = Marginals(model, own.sums if same else None)
+    if changed:
+        more.sums.move(own.sums, *map(GridSums, changed))
+    else:
+        more.sums.extend(own.sums)
+    if model.width > own.model.width:
+        made: dict[int, Chosen] = {}
+        more._chosen = {key: chosen.widened(model.width, made) for key, chosen in own._chosen.items()}
 
 
 def loss_of_finer_noise(model: LinearModel, log_base: Array) -> Array:

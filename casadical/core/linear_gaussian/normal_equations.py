@@ -75,6 +75,13 @@ class Joined:
         """Return a root R of the inverse R'R of their normal matrix, shape (new, new)."""
         return np.asarray(inverse_of_triangle(self.L) * self.scale)
 
+    @property
+    def estimate(self) -> Array:
+        """Return the estimate of the parameters if no others are added to the model, (new,)."""
+        from scipy.linalg import solve_triangular
+
+        return np.asarray(solve_triangular(self.L.T, self.z) * self.scale)
+
 
 def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joined:
     """Return the update of a model by additional parameters.
@@ -88,6 +95,18 @@ def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joine
     scale = 1 / np.sqrt(np.diag(normal))
     L, z = reduced(normal * np.outer(scale, scale), scale * right)
     return Joined(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
+
+
+def joined_base(gram: Array, weights: Array, mean: Array, log_det: float) -> Joined:
+    """Return the update of a model without parameters by P base parameters.
+
+    gram : of their whitened columns and, last, the residual, shape (P + 1, P + 1)
+    weights, mean : inverse prior standard deviations and prior means, for sigma = 1, shape (P,)
+    log_det : log determinant of the noise covariance
+    """
+    own = weights**2
+    square = float(gram[-1, -1] + (weights * mean) @ (weights * mean))
+    return joined(np.diag(own) + gram[:-1, :-1], gram[:-1, -1] + own * mean, square, -0.5 * float(log_det))
 
 
 def marginalised(H: Array, g: Array, selected: Array, inverse: Array) -> tuple[Array, Array]:

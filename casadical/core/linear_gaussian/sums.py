@@ -9,7 +9,7 @@ blocks become outliers or inliers, their sums are subtracted or added.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
+from functools import cached_property
 
 import numpy as np
 
@@ -28,61 +28,43 @@ class GridSums:
 
     Whitening is for sigma = 1.
 
-    E : columns of the candidates
+    E : columns of the candidates; shape : numbers of blocks and of rows of each
     base : Gram matrix of the P base columns and the residual, in this order, shape (points, P + 1,
         P + 1); zero at points that are not in `LinearModel.near`
     log_det : log determinant of the noise covariance of all blocks in units of sigma^2, shape
         (points,)
     """
 
-    def __init__(self, model: LinearModel) -> None:
-        self.E, self._shape, self._memory = model.E, model.r.shape, model.memory
+    def __init__(self, model: LinearModel, same: GridSums | None = None) -> None:
+        """Accumulate the sums of base and residual, or take over the `same` of another model."""
+        self.E, self.shape, self._memory = model.E, model.r.shape, model.memory
         self._axes = model.noise.axes(model.grid.ratios)
         self._points = sum(len(axes.points) for axes in self._axes)
         self.log_det = np.concatenate([axes.log_det for axes in self._axes])
         self._given, width = (model.J, model.r[:, :, None]), model.J.shape[2] + 1
-        self.base = np.zeros((self._points, width, width))
-        for blocks in self._slices(width):
+        self.base: Array = same.base if same else np.zeros((self._points, width, width))
+        for blocks in () if same else self._slices(width):
             for axes in self._axes:
                 rotated = self._rotated_base(axes, blocks)
                 for k, precision in zip(axes.points, axes.precision[:, blocks], strict=True):
                     if k in model.near:
                         white = (rotated * np.sqrt(precision[:, :, None])).reshape(-1, width)
                         self.base[k] += white.T @ white
-        self._reset_cache()
-
-    def _reset_cache(self) -> None:
-        """Empty the caches of products with the columns."""
-        self._columns: Array | None = None
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
         self._cross: dict[tuple[int, int, int], CachedRows] = {}
-
-    def with_other_columns(self, columns: Columns) -> GridSums:
-        """Return the sums of the same residual and base with other columns."""
-        more = copy(self)
-        more.E = columns
-        more._reset_cache()
-        return more
 
     def _rotated_base(self, axes: Axes, blocks: slice) -> Array:
         """Return base columns and residual of some blocks in the eigenbasis, (blocks, m, P + 1)."""
         return axes.rotated(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
 
-    @property
-    def rows(self) -> int:
-        """Return the number of rows of all blocks."""
-        return int(np.prod(self._shape))
-
-    @property
+    @cached_property
     def columns(self) -> Array:
         """Return whitened products of all columns with the P base columns and with the residual.
 
         Their shape is (columns, points, P + 1), the residual's last; they are computed once.
         """
-        if self._columns is None:
-            self._columns = self._products_with_base(self.E)
-        return self._columns
+        return self._products_with_base(self.E)
 
     def extend(self, other: GridSums) -> None:
         """Take over the cached sums of a model with the same blocks and the first of these columns.
@@ -92,17 +74,18 @@ class GridSums:
         width = other.E.shape[2]
         self._own, self._wide = dict(other._own), dict(other._wide)
         self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in other._cross.items()}
-        self._columns = other.columns
+        self.columns = other.columns
         if self.E.shape[2] > width:
-            self._columns = np.concatenate([other.columns, self._products_with_base(self.E.after(width))])
+            more = self.E.only(np.arange(width, self.E.shape[2]))
+            self.columns = np.concatenate([other.columns, self._products_with_base(more)])
 
     def move(self, other: GridSums, lost: GridSums, gained: GridSums) -> None:
         """Take over the cached sums of a model with other blocks.
 
         The sums of the lost blocks are subtracted, those of the gained ones added.
         """
-        parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.rows]
-        self._columns = other.columns + sum(sign * part.columns for sign, part in parts)
+        parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.shape[0]]
+        self.columns = other.columns + sum(sign * part.columns for sign, part in parts)
         groups = [np.frombuffer(key, dtype=np.int64) for key in other._own]
         for _, part in parts:
             part.gram_matrices(groups)
@@ -141,7 +124,7 @@ class GridSums:
         totals = {w: np.zeros((self._points, len(s), w, w)) for w, s in stacks.items()}
         used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
         E = self.E.only(used)
-        for blocks in self._parts(E):
+        for blocks in self._slices(E.shape[2]):
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes in self._axes:
                 for rows, columns, by_column in _by_rows(F, axes.rotated(levers, blocks)):
@@ -169,7 +152,7 @@ class GridSums:
         if key not in self._wide:
             E, every = self.E.only(group), combined(group, self.E.directions)
             total = np.zeros((every.width, 1, every.width))
-            for blocks in self._parts(E):
+            for blocks in self._slices(E.shape[2]):
                 F = E.factors(blocks).combined(every)
                 self._add_products(total, F, F, E.levers(blocks), blocks, [k])
             self._wide[key] = total[:, 0]
@@ -233,7 +216,7 @@ class GridSums:
         E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
         edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
         total = np.zeros((E.shape[2], len(points), every.width))
-        for blocks in self._parts(E):
+        for blocks in self._slices(E.shape[2]):
             G = R.factors(blocks).combined(every)
             self._add_products(total, E.factors(blocks), G, E.levers(blocks), blocks, points)
         for run, start, end in zip(runs, edges[:-1], edges[1:], strict=True):
@@ -247,7 +230,7 @@ class GridSums:
         """
         numbers = self.base.shape[1]
         total = np.zeros((E.shape[2], self._points, numbers))
-        for blocks in self._parts(E):
+        for blocks in self._slices(E.shape[2]):
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes in self._axes:
                 rotated = self._rotated_base(axes, blocks)
@@ -278,14 +261,10 @@ class GridSums:
                 own, places = [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
                 _add_weighted(total, F, G, axes.rotated(levers, blocks), axes.precision[own, blocks], places)
 
-    def _parts(self, E: Columns) -> Iterator[slice]:
-        """Return slices of blocks for which the columns E stay within the limit (see `_slices`)."""
-        return self._slices(max(E.shape[2], 1))
-
     def _slices(self, width: int) -> Iterator[slice]:
         """Return slices of all blocks by `column_bytes` for `width` columns, or `min_blocks`."""
-        blocks, m = self._shape
-        step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * width))
+        blocks, m = self.shape
+        step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * max(width, 1)))
         return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
 
 

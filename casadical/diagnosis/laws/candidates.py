@@ -16,7 +16,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns
-from casadical.core.linear_gaussian.marginals import marginals_of
+from casadical.core.linear_gaussian.marginals import Marginals, marginals_of
 from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
@@ -194,7 +194,8 @@ class LawProblem:
         columns : those of each law, shape (n, 3, K, w)
         """
         every = self.white(columns.reshape(*columns.shape[:2], -1))
-        judged = marginals_of(self.evidence).with_other_columns(array_columns(every), CAUSE_PRIOR_SIGMA)
+        own, prior = marginals_of(self.evidence), np.full(every.shape[2], CAUSE_PRIOR_SIGMA)
+        judged = Marginals(replace(own.model, E=array_columns(every), cause_prior=prior), own.sums)
         groups = list(np.arange(every.shape[2]).reshape(columns.shape[2:]))
         grids = np.asarray(judged.log_grids(groups) + np.log(KAPPA_WEIGHTS))
         none = float(np.logaddexp.reduce(self.evidence.log_base(), axis=None))

@@ -92,7 +92,7 @@ def _with_laws(ranking: Ranking, laws: Sequence[ScoredLaw], chosen: Array) -> Ra
 def with_law(case: Case, law: Law) -> Case:
     """Return the case with a law as an additional unlisted candidate."""
     named = Candidate(law.label, law.name, law.joint, (), listed=False)
-    return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
+    return replace(case, candidates=(*case.candidates, named)).with_variants({(law,): law.label})
 
 
 def aliases(case: Case, chosen: Array, s: ScoredLaw, variant: Mapping[str, int]) -> tuple[str, ...]:

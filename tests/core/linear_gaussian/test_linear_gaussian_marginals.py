@@ -8,7 +8,7 @@ from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, 
 from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.columns import array_columns, serial_columns
-from casadical.core.linear_gaussian.marginals import Marginals
+from casadical.core.linear_gaussian.marginals import Marginals, marginals_of, take_over_cache
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import SIGMA_LOG_LIKELIHOOD_WINDOW, serial_noise
 from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS
@@ -77,7 +77,7 @@ def test_other_columns_take_over_the_base_alone() -> None:
     known = first.log_grids(GROUPS)
     columns = array_columns(0.2 * rng.normal(size=(7, 3, 3)))
     alone = Marginals(replace(model, E=columns, cause_prior=np.full(3, 4.0)))
-    of_others = first.with_other_columns(columns, 4.0)
+    of_others = Marginals(alone.model, first.sums)
     for also in (NONE, np.array([2])):
         some = [np.array([0]), np.array([0, 1])]
         np.testing.assert_allclose(of_others.log_grids(some, also), alone.log_grids(some, also), rtol=1e-12)
@@ -165,13 +165,14 @@ def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> Non
 
     first, fewer = whole.at(np.arange(40)), array_columns(whole.E.take(np.arange(5)))
     few = replace(whole, E=fewer, cause_prior=whole.cause_prior_sigmas[:5]).at(np.arange(40))
-    known = Marginals(few)
-    known.log_grids(GROUPS[:2], chosen)
-    extended = known.extended(first)
-    np.testing.assert_allclose(extended.log_grids(GROUPS, chosen), Marginals(first).log_grids(GROUPS, chosen))
+    marginals_of(few).log_grids(GROUPS[:2], chosen)
+    take_over_cache(first, few)
+    extended = marginals_of(first).log_grids(GROUPS, chosen)
+    np.testing.assert_allclose(extended, Marginals(first).log_grids(GROUPS, chosen))
     second = whole.at(np.arange(1, 41))
-    moved = extended.moved(second, whole.at(np.array([0])), whole.at(np.array([40])))
-    np.testing.assert_allclose(moved.log_grids(GROUPS, chosen), Marginals(second).log_grids(GROUPS, chosen), rtol=1e-8)
+    take_over_cache(second, first, (whole.at(np.array([0])), whole.at(np.array([40]))))
+    moved = marginals_of(second).log_grids(GROUPS, chosen)
+    np.testing.assert_allclose(moved, Marginals(second).log_grids(GROUPS, chosen), rtol=1e-8)
 
 
 def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -> None:
