@@ -106,7 +106,6 @@ def diagnose(
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     with importing():
-        from casadical.pose_selection.workspace import read_workspace
         from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns, read_logs
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
@@ -148,7 +147,8 @@ def diagnose(
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
-    given = read_campaigns(problem, campaigns, o.carried_prior(prior, prior_effects, frozen), together=together)
+    carried = o.carried_prior(prior, prior_effects, frozen)
+    given = read_campaigns(problem, campaigns, carried, together=together, room=room)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, fixed at their values: {given[0].own_effects}.")
     chosen = effects_named(effects)
@@ -156,11 +156,10 @@ def diagnose(
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
     for campaign in given:
-        workspace = room and read_workspace(room, campaign.robot)
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             name = file.name if file else ""
             answer = diagnose_campaign(campaign, options, show).analysed(
-                poses=next_n, workspace=workspace, networks=network, file=name, show=show
+                poses=next_n, networks=network, file=name, show=show
             )
             if out:
                 show("the robot with its causes")

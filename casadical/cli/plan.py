@@ -183,22 +183,14 @@ def plan(
         t.suggest(console, "when they were touched", "verify", problem, "DAY.csv", "--touches")
         return
     if camera:
-        from casadical.pose_selection import camera_stations
-        from casadical.pose_selection.workspace import read_workspace
         from casadical.project.calibration import calibrate
-        from casadical.project.problem import read_campaign_robot
+        from casadical.project.planning import stations_ahead
 
         console = t.wrapped(quiet)
         with t.working(quiet, "choosing stations"):
-            seen = camera_stations.read_view(view) if problem.is_file() else None
-            if seen:
-                sigma = 1e-3 * (1.0 if noise_mm is None else noise_mm)
-                robot = read_campaign_robot(problem)
-                found = camera_stations.simulated_stations(robot, seen, sigma, seed)
-            else:
-                found = calibrate(problem).identification
-            workspace = read_workspace(room, found.robot) if room else None
-            stations = camera_stations.camera_stations(found, n or 25, workspace, seed, seen)
+            found = calibrate(problem).identification if problem.is_dir() else None
+            sigma = 1e-3 * (1.0 if noise_mm is None else noise_mm)
+            stations = stations_ahead(found or problem, n or 25, view, sigma, room, seed)
         t.tell(console, *stations.blocks())
         out = out or Path("stations.csv")
         texts = {out: stations.table.to_csv(index=False)}

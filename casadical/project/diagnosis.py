@@ -30,6 +30,7 @@ from casadical.measurements.logs.log import JointLog, joined
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import refuse_shared_rows
+from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables, problem_file, tables_of
 from casadical.robot.effect_tables import read_effects
@@ -77,6 +78,7 @@ class Campaign:
     folder : of the problem, or the robot file
     prior : prior from another campaign, None without one
     own_effects : effects of the robot file, in words; they are fixed at their values
+    workspace : where poses of the next campaign may lie; None: within the robot's limits
     """
 
     robot: Robot
@@ -85,6 +87,7 @@ class Campaign:
     folder: Path = Path()
     prior: Prior | None = None
     own_effects: str = ""
+    workspace: Workspace | None = None
 
     @property
     def name(self) -> str:
@@ -104,6 +107,7 @@ def read_campaigns(
     *,
     together: bool = False,
     readings_only: bool = False,
+    room: Path | None = None,
 ) -> tuple[Campaign, ...]:
     """Read the campaigns of a problem folder or of given tables; each table is one campaign.
 
@@ -112,6 +116,7 @@ def read_campaigns(
     carried : function that puts the prior of another campaign into the robot (see `carry_over`)
     together : whether all tables are one campaign
     readings_only : whether poses are planned, not measured
+    room : file of a workspace
     Raises InputError for a table that cannot be used.
     """
     paths = list(tables or own_tables(folder))
@@ -122,8 +127,9 @@ def read_campaigns(
         refuse_shared_rows([sets[path] for path in paths])
     robot = tool_as_measured(robot, folder, sets.values())
     groups = [paths] if together else [[path] for path in sets]
+    workspace = read_workspace(room, robot) if room else None
     return tuple(
-        Campaign(robot, tuple(sets[p] for p in group), tuple(group), folder, prior, nominal.effects_in_words)
+        Campaign(robot, tuple(sets[p] for p in group), tuple(group), folder, prior, nominal.effects_in_words, workspace)
         for group in groups
     )
 
@@ -165,9 +171,10 @@ class CampaignDiagnosis(Result):
     def analysed(self, **asked: Any) -> CampaignDiagnosis:
         """Return the diagnosis with its `details` computed by `casadical.diagnosis.analyse`.
 
-        asked : arguments of that function but `laws`, an option. Raises ConvergenceError.
+        asked : its arguments but those of campaign and options. Raises ConvergenceError.
         """
-        return replace(self, details=analyse(self.diagnosis, laws=self.options.laws, **asked))
+        asked |= {"laws": self.options.laws, "workspace": self.campaign.workspace}
+        return replace(self, details=analyse(self.diagnosis, **asked))
 
     def brief(self) -> Sequence[Words | Table]:
         """Return the main results in a few lines: verdict, errors before and after, doubts."""

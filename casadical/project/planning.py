@@ -15,11 +15,13 @@ from casadical.core.reporting.blocks import Words, next_step
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.identification.prior import Prior
+from casadical.identification.result import Identification
 from casadical.measurements.columns import POSSIBLE_RANGES, Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
+from casadical.pose_selection.camera_stations import CameraStations, camera_stations, read_view, simulated_stations
 from casadical.pose_selection.candidates import Circumstances, one_turn
 from casadical.pose_selection.instruments import usual_places
 from casadical.pose_selection.pose_search import (
@@ -363,6 +365,23 @@ def poses_of_changes(
     known: dict[str, Any] = {"measured": measured, "free": prior.free, "prior": prior}
     known |= {"workspace": workspace, "noise": noise, "seed": seed}
     return select_poses(robot, None, n, min_distance=0.05, **known).table
+
+
+def stations_ahead(
+    arm: Identification | Path, n: int, view: str, sigma: float, room: Path | None, seed: int
+) -> CameraStations:
+    """Return n stations of an arm with a camera, chosen by the stations so far.
+
+    arm : calibration of the stations so far; robot file: stations are simulated, camera at the tool
+    view, sigma : of the simulation: NEAR,FAR,OFF,OBLIQUE [m, deg], noise [m]
+    room : file of a workspace
+    Raises InputError.
+    """
+    seen = None
+    if isinstance(arm, Path):
+        seen = read_view(view)
+        arm = simulated_stations(read_campaign_robot(arm), seen, sigma, seed)
+    return camera_stations(arm, n, read_workspace(room, arm.robot) if room else None, seed, seen)
 
 
 def iso9283_plan(path: Path, cube_mm: float | None, room: Path | None, seed: int) -> tuple[list[Words], pd.DataFrame]:
