@@ -301,12 +301,14 @@ def largest_parts(where: Localisation) -> list[dict[Hashable, Any]]:
 
 def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
     """Yield (label, "above" or "below", probability) of causes near the threshold of a claim."""
+    known = 1 - SETTINGS.look_alike  # no probability of a cause is above
     members, claimed = d.cause_set.members if d.cause_set else {}, d.verdict in ("explained", "ambiguous")
     judged = {c.label: members.get(c.label, c.confidence) for c in d.causes if claimed}
     ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
-    dropped = {k: ranking.probability[k] for k in ranking.order[:1] if k in listed and k not in judged}
+    dropped = {k: known * ranking.probability[k] for k in ranking.order[:1] if k in listed and k not in judged}
     for label, p in {**judged, **dropped}.items():
-        if (side := _side_of_threshold(p, SETTINGS.min_claim)) and (label in judged or side == "below"):
+        side = _side_of_threshold(p / known, SETTINGS.min_claim / known)
+        if side and (label in judged or side == "below"):
             yield label, side, p
 
 
@@ -331,13 +333,8 @@ def _side_of_threshold(probability: float, threshold: float) -> str:
     It is close if the odds differ by less than `Settings.near_threshold_odds_ratio`.
     """
     times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
-    return (
-        "above"
-        if 1 <= times < SETTINGS.near_threshold_odds_ratio
-        else "below"
-        if 1 / SETTINGS.near_threshold_odds_ratio < times < 1
-        else ""
-    )
+    near = SETTINGS.near_threshold_odds_ratio
+    return "above" if 1 <= times < near else "below" if 1 / near < times < 1 else ""
 
 
 def change(ratio: float) -> str:
