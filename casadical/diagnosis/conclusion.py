@@ -84,7 +84,9 @@ def conclude(
     verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
     exactly = with_additional_cause(cause_set(state), state, seed)
     if verdict == "explained":
-        doubted = exactly and exactly.probability < SETTINGS.min_set
+        more = state.rankings[-1]
+        flaw = more.log_factor[more.order[0]] <= SETTINGS.max_flaw * state.log_gain
+        doubted = exactly and exactly.probability < SETTINGS.min_set and not flaw
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
     if verdict == "explained" and state.steps and account.doubt:
         verdict = "unknown"

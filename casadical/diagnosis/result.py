@@ -91,7 +91,7 @@ class Cause:
     --------
     >>> (cause,) = diagnosis.causes
     >>> cause.label, round(cause.confidence, 3), round(cause.shrink, 2)
-    ('gear_eccentricity@2', 1.0, 0.55)
+    ('gear_eccentricity@2', 0.93, 0.55)
     >>> sorted(cause.estimates)
     ['cos1', 'cos2', 'sin1', 'sin2']
     """

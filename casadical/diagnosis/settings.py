@@ -24,8 +24,7 @@ class Settings:
         docs/studies/open_world.py (seeds "develop 2") 14 of 20 with an effect of foreign_effects.py
         and a listed one were in doubt, and 6 of 21 with a listed one alone
     look_alike : probability that what a cause explains is an effect on no list that looks like it:
-        of causes of 0.9 and more in docs/studies/open_world.py (seeds "judge 14" and "judge 15",
-        mostly beside effects of others' making) 6 of 83 were not there
+        6 of 83 of 0.9 and more (docs/studies/open_world.py, seeds "judge 14" and "judge 15")
     min_further : an additional cause alone is accepted from this probability on, given there is one
     max_causes : largest number of causes of a diagnosis
     ambiguous_share : causes that the data cannot distinguish are counted until they reach this
@@ -38,8 +37,7 @@ class Settings:
         fraction of the gap exceeds max_unexplained
     max_flaw : log evidence of the best additional cause divided by that of the causes in the model,
         up to which the remaining error may be a flaw of a listed effect's equation: none was larger
-        in 44 right claims of mismatched truth; loose anchors and hoses leave 0.08 and 0.11 (seeds
-        77)
+        in 44 right claims of mismatched truth; loose anchors, hoses leave 0.08, 0.11 (seeds 77)
     max_hidden : noise is in doubt only if what may hide in it is this large over the named causes
     max_block_ratio : ratio of the held-out error for blocks of time with the causes to that without
         them above which the causes are no explanation
