@@ -17,8 +17,8 @@ class Settings:
     outlier_distance : squared Mahalanobis distance of three coordinates beyond which a pose is an
         outlier; inlier_distance : distance below which an outlier becomes an inlier again
     min_set : the named causes are no explanation if the set of exactly these has a smaller
-        probability among all sets that differ by one cause: of docs/studies/open_world.py (seeds
-        "develop 2") 11 of 15 such sets were wrong or incomplete, of the others 5 of 49
+        probability among all sets that differ by one cause and what is left is more than a flaw:
+        9 of 11 such sets were wrong, of the others 5 of 49 (open_world.py, seeds "develop 2")
     untried : probability, beyond that of one more cause, that an effect acts that was not tried, the
         residuals like noise; untried_in_doubt : the same where they are in doubt. Of campaigns of
         docs/studies/open_world.py (seeds "develop 2") 14 of 20 with an effect of foreign_effects.py
