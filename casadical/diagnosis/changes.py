@@ -76,18 +76,12 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     `Evidence`, prior standard deviations are proportional to the noise.
     fit : fit of the base model; sigma : noise of that fit [m]
     """
-    mean, widths, covariances = case.prior_parts(prior)
-    precision = np.diag(widths**-2.0)
-    log_det = -2 * float(
-        np.log(np.delete(widths, np.concatenate([*(at for at, _ in covariances), []]).astype(int))).sum()
-    )
-    for at, C in covariances:
-        unit = np.sqrt(np.diag(C))
-        scaled = C / np.outer(unit, unit)
-        precision[np.ix_(at, at)] = np.linalg.inv(scaled) / np.outer(unit, unit)
-        log_det -= float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.log(unit).sum())
-    square = float(fit.y @ fit.y + mean @ precision @ mean)
-    sums = joined(fit.sums.H + precision, fit.sums.g + precision @ mean, square, 0.5 * log_det)
+    mean, widths, units = case.prior_parts(prior)
+    precision = widths**-2.0
+    square = fit.sums.square + float(mean**2 @ precision)
+    normal = units.T @ fit.sums.H @ units + np.diag(precision)
+    right = units.T @ fit.sums.g + precision * mean
+    sums = joined(normal, right, square, -float(np.log(widths).sum()))
     grid = case.evidence.sigmas / sigma
     return float(
         np.logaddexp.reduce(sums.log_norm - case.evidence.count * np.log(grid) - 0.5 * sums.square / grid**2, axis=None)

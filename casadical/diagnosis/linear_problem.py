@@ -174,36 +174,30 @@ class Case:
         self.selected[:] = [evidence]
         return self
 
-    def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
-        """Return mean, sigma and correlated blocks of the base parameters' prior.
+    def prior_parts(self, prior: Prior) -> tuple[Array, Array, Array]:
+        """Return mean and sigma of independent combinations of the base parameters, and these.
 
-        The mean is that of the prior minus the present value, mean and sigma have the shape (P,)
-        [SI]. A block holds indices into these P parameters, shape (k,), and their covariance, shape
-        (k, k) [SI], which takes the place of their sigma.
+        Mean and sigma have the shape (P,), that of the mean minus the present value; base
+        parameters = combinations @ independent ones, shape (P, P) [SI].
         prior : prior of parameters from another campaign; parameters that it does not name keep the
             mean and sigma of the base model
         """
-        mean, sigma = self.base.delta0.copy(), self.base.prior.copy()
+        mean, sigma, units = self.base.delta0.copy(), self.base.prior.copy(), np.eye(len(self.values))
         places = {name: k for k, name in enumerate(self.given.parameters.names)}
         for name, (value, width) in prior.means.items():
             mean[places[name]], sigma[places[name]] = value - self.values[places[name]], width
-        blocks = []
         for names, matrix in prior.covariances:
             own = [k for k, name in enumerate(names) if self.given.parameters[name].group in prior.labels]
-            if own:
-                blocks.append((np.array([places[names[k]] for k in own]), matrix[np.ix_(own, own)]))
-        return mean, sigma, blocks
+            at, L = [places[names[k]] for k in own], np.linalg.cholesky(matrix[np.ix_(own, own)])
+            units[np.ix_(at, at)], sigma[at], mean[at] = L, 1.0, np.linalg.solve(L, mean[at])
+        return mean, sigma, units
 
     def with_prior(self, prior: Prior, reference: float) -> Case:
         """Return the case with the prior of another campaign on its base parameters.
 
         reference : noise standard deviation at which the priors hold [m]
         """
-        mean, sigma, blocks = self.prior_parts(prior)
-        units = np.eye(len(mean))
-        for at, matrix in blocks:
-            L = np.linalg.cholesky(matrix)
-            units[np.ix_(at, at)], sigma[at], mean[at] = L, 1.0, np.linalg.solve(L, mean[at])
+        mean, sigma, units = self.prior_parts(prior)
         whole = replace(self.whole, J=self.base.J @ units, delta0=mean, prior=sigma, reference=reference)
         whole, base = BaseParameters.restricted(whole)
         return replace(self, whole=whole, base=base, prior=prior, units=units)
