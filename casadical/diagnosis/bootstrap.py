@@ -6,6 +6,7 @@ listed or not, against none (Davison and Hinkley, Bootstrap Methods and their Ap
 4).
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -95,13 +96,13 @@ def _groups(case: Case, white: Array) -> list[Group]:
     The prior of a candidate is divided equally among its variants.
     white : all columns, whitened and orthogonal to the base model, shape (rows, columns)
     """
-    weights = prior_weights(case, PRIOR_FIRST, frozenset())
+    weights = prior_weights(case.candidates, PRIOR_FIRST, frozenset())
+    count = Counter(label for label, _ in case.groups)
     groups = []
-    for (c, _), columns in zip(case.variants, case.groups, strict=True):
+    for (label, _), columns in case.groups.items():
         E = white[:, columns]
         value, vector = np.linalg.eigh(E.T @ E)
-        candidate = case.candidates[c]
-        log_weight = float(np.log(weights[candidate.label] / len(candidate.variants)))
+        log_weight = float(np.log(weights[label] / count[label]))
         groups.append(Group(columns, log_weight, np.maximum(value, 0), vector))
     return groups
 

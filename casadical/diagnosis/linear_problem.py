@@ -270,14 +270,9 @@ class Case:
         return np.column_stack([poses, np.append(-1, poses[:-1])])
 
     @cached_property
-    def variants(self) -> tuple[tuple[int, int], ...]:
-        """Return (index of the candidate, index of its variant) of every group of columns."""
-        return tuple((c, v) for c, k in enumerate(self.candidates) for v in range(len(k.variants)))
-
-    @cached_property
-    def groups(self) -> tuple[Array, ...]:
-        """Return the indices of the columns of each variant of each candidate, as `variants`."""
-        return tuple(self.group(self.candidates[c].variants[v]) for c, v in self.variants)
+    def groups(self) -> Mapping[tuple[str, int], Array]:
+        """Return the indices of each variant's columns, by label and index of the variant."""
+        return {(c.label, v): self.group(e) for c in self.candidates for v, e in enumerate(c.variants)}
 
     def group(self, effects: Sequence[Effect]) -> Array:
         """Return the indices of the columns of some effects, shape (k,); empty for no effects."""

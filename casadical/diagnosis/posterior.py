@@ -3,12 +3,13 @@
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.statistics import first_of_best, ranked
+from casadical.core.statistics import best_of, ranked
+from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.settings import SETTINGS
@@ -16,10 +17,6 @@ from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:
     from casadical.diagnosis.linear_problem import Case
-    from casadical.diagnosis.motion.engine import LogProblem
-
-    # The kinds of problem whose candidates have prior probabilities.
-    Judged: TypeAlias = Case | LogProblem
 
 # Prior probabilities of the first cause: no cause, one of the listed effects, an unlisted effect.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.55, "unknown": 0.20}
@@ -57,6 +54,24 @@ class Ranking:
         """Return the labels of the candidates, the most probable first."""
         labels = list(self.probability)
         return tuple(labels[k] for k in ranked(list(self.probability.values())))
+
+    @classmethod
+    def of_variants(cls, logs: Mapping[tuple[str, int], float], weights: Mapping[str, float], none: float) -> "Ranking":
+        """Return the posterior over the next cause, each averaged over its variants, without noise.
+
+        logs : log Bayes factor against no additional cause by label and index of the variant
+        weights : prior probability of each candidate, by label; none : that of no additional cause
+        """
+        each: dict[str, dict[int, float]] = {}
+        for (label, v), log in logs.items():
+            each.setdefault(label, {})[v] = log
+        factor, variant = {}, {}
+        for label in weights:
+            own = each[label]
+            factor[label] = float(np.logaddexp.reduce([*own.values()]) - np.log(len(own)))
+            variant[label] = best_of(own, own.__getitem__, logs=True)
+        mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}
+        return cls(1.0, {}, factor, mass, variant, {}).normalised(float(np.log(none)))
 
     def normalised(self, none: float) -> "Ranking":
         """Return the ranking with `none` and `probability` computed from its log masses.
@@ -113,28 +128,25 @@ def rank(
     skip : labels of these causes, which are no longer candidates
     covered : labels of candidates that a cause in the model includes, which are no longer any
     """
-    judged = [k for k, (c, _) in enumerate(case.variants) if case.candidates[c].label not in skip | covered]
-    grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
-    base_grid = case.judged.log_base(chosen)
-    base = float(np.logaddexp.reduce(base_grid, axis=None))
-    log_variant = (np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - base) / case.judged.poses_per_stop
-    owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    weights = prior_weights(case, prior, skip, covered)
-    factor, variant, noise = {}, {}, {"": likely_noise(base_grid, case.judged.sigmas)}
-    for c, candidate in enumerate(case.candidates):
-        if candidate.label in weights:
-            own = np.flatnonzero(owner == c)
-            factor[candidate.label] = float(np.logaddexp.reduce(log_variant[own], axis=None)) - float(np.log(len(own)))
-            best = int(own[first_of_best(log_variant[own], logs=True)])
-            variant[candidate.label] = case.variants[judged[best]][1]
-            noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)
-    mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}
-    return Ranking(1.0, {}, factor, mass, variant, noise).normalised(float(np.log(prior["none"])))
+    weights = prior_weights(case.candidates, prior, skip, covered)
+    groups = {key: group for key, group in case.groups.items() if key[0] in weights}
+    e = case.judged
+    grids, base = e.log_grids([*groups.values()], chosen) + np.log(KAPPA_WEIGHTS), e.log_base(chosen)
+    none = np.logaddexp.reduce(base, axis=None)
+    gains = (np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - none) / e.poses_per_stop
+    logs = dict(zip(groups, gains.tolist(), strict=True))
+    ranking = Ranking.of_variants(logs, weights, prior["none"])
+    grid_of = dict(zip(groups, grids, strict=True))
+    likely = {"": base, **{k: grid_of[k, v] for k, v in ranking.variant.items()}}
+    return replace(ranking, noise={k: likely_noise(grid, e.sigmas) for k, grid in likely.items()})
 
 
 def prior_weights(
-    case: "Judged", prior: Mapping[str, float], skip: frozenset[str], covered: frozenset[str] = frozenset()
+    candidates: Sequence[Candidate],
+    prior: Mapping[str, float],
+    skip: frozenset[str],
+    covered: frozenset[str] = frozenset(),
 ) -> dict[str, float]:
     """Return the prior probability of each candidate, by label.
 
@@ -145,8 +157,8 @@ def prior_weights(
     `skip` has `Settings.same_joint_prior_factor` times its share.
     prior : one of PRIOR_FIRST and PRIOR_FURTHER; skip, covered : see `rank`
     """
-    open_ = [c for c in case.candidates if c.label not in skip | covered]
-    taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}
+    open_ = [c for c in candidates if c.label not in skip | covered]
+    taken = {c.joint for c in candidates if c.label in skip and c.joint is not None}
     names = Counter(c.name for c in open_ if not c.together)
     kinds = {c.name: c.listed for c in open_}
     rare = [name for name, listed in kinds.items() if not listed and name != "unknown"]

@@ -176,7 +176,8 @@ class State:
 
         def rank_sets(sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
             effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
-            self.case.judged.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
+            chosen = [self.case.group((e,)) for e in effects]
+            self.case.judged.look_ahead(chosen, [*self.case.groups.values()])
             return [self.rank(self.steps, also) for also in sets]
 
         return most_probable_set(

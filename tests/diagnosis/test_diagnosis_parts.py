@@ -188,12 +188,11 @@ def test_a_single_outlier_is_a_cause_only_if_it_is_far_out(off: float, named: li
 
 def test_before_any_data_all_is_shared_out_and_a_second_cause_at_a_joint_is_rare() -> None:
     assert sum(PRIOR_FIRST.values()) == pytest.approx(1.0)
-    case: Any = SimpleNamespace(candidates=candidates_of(robot("ur10e"), ["backlash", "transmission_ripple"]))
-    first, second = (prior_weights(case, PRIOR_FIRST, skip) for skip in (frozenset(), frozenset(["backlash@2"])))
+    candidates = candidates_of(robot("ur10e"), ["backlash", "transmission_ripple"])
+    first, second = (prior_weights(candidates, PRIOR_FIRST, skip) for skip in (frozenset(), frozenset(["backlash@2"])))
     assert second["transmission_ripple@2"] == pytest.approx(second["transmission_ripple@3"] / 20)
     assert first["transmission_ripple@2"] == first["transmission_ripple@3"] == second["transmission_ripple@3"]
-    case.candidates = candidates_of(robot("ur10e"), ["backlash", "thermal_bend"])
-    weights = prior_weights(case, PRIOR_FIRST, frozenset())
+    weights = prior_weights(candidates_of(robot("ur10e"), ["backlash", "thermal_bend"]), PRIOR_FIRST, frozenset())
     shares = [sum(w for k, w in weights.items() if k.split("@")[0] == name) for name in ("backlash", "thermal_bend")]
     assert shares[1] == pytest.approx(shares[0] / 4 * (1 - 1 / 7))  # a name of the extended list
 

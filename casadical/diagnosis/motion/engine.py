@@ -10,7 +10,7 @@ hypothesis, so that a cause is not taken for noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -144,8 +144,8 @@ class LogProblem:
     """Base and candidate causes of a joint log.
 
     rows : groups of rows; mean, covariance : prior of the base's parameters, shapes (P,), (P, P)
-    candidates : possible causes; variants : (candidate, variant) indices of each group of columns;
-        groups : indices of the columns of each
+    candidates : possible causes; groups : indices of the columns of each candidate's variants, by
+        label and index of the variant
     masks : indices of the columns that are zero but in rows whose noise is another with the cause
     names : kind, joint (0-based, as text, "" for none) and name of each parameter of the base
     """
@@ -155,19 +155,13 @@ class LogProblem:
     covariance: Array
     names: tuple[tuple[str, ...], ...] = ()
     candidates: tuple[Candidate, ...] = ()
-    variants: tuple[tuple[int, int], ...] = ()
-    groups: tuple[Array, ...] = ()
+    groups: Mapping[tuple[str, int], Array] = field(default_factory=dict)
     masks: frozenset[int] = frozenset()
 
     @cached_property
     def by_label(self) -> dict[str, Candidate]:
         """Return the candidates by label."""
         return {c.label: c for c in self.candidates}
-
-    def group(self, label: str, variant: int) -> Array:
-        """Return the indices of the columns of one variant of the candidate with this label."""
-        at = next(k for k, c in enumerate(self.candidates) if c.label == label)
-        return self.groups[self.variants.index((at, variant))]
 
     def with_causes(self, columns: Array, scale: float = 1.0) -> LogProblem:
         """Return the problem with columns of causes in the base.
@@ -229,7 +223,7 @@ class LogProblem:
 
     def _screened(self) -> Array:
         """Return the log evidence [nats] of groups of columns by prior size, (groups, kappas)."""
-        fit, total = self.fit, sum(map(len, self.groups))
+        fit, total = self.fit, sum(map(len, self.groups.values()))
         both, right = np.zeros((len(self.mean), total)), np.zeros(total)
         for r, s2 in zip(self.rows, fit.variance, strict=True):
             if len(r.columns):
@@ -238,7 +232,7 @@ class LogProblem:
                 right[r.columns] += (own - cross.T @ fit.x[r.own]) / s2
         absorbed = np.linalg.solve(np.linalg.cholesky(fit.precision), both)
         out = np.empty((len(self.groups), len(KAPPA_GRID)))
-        for k, group in enumerate(self.groups):
+        for k, group in enumerate(self.groups.values()):
             S = -absorbed[:, group].T @ absorbed[:, group]
             for r, s2 in zip(self.rows, fit.variance, strict=True):
                 low, high = np.searchsorted(r.columns, [group[0], group[-1] + 1])
@@ -256,35 +250,28 @@ class LogProblem:
 
         skip : labels of the causes that are in the base already
         """
-        weights = prior_weights(self, PRIOR_FURTHER if skip else PRIOR_FIRST, skip)
-        by_kappa = self._screened()
-        by_group = np.logaddexp.reduce(by_kappa + np.log(KAPPA_WEIGHTS), axis=1)
-        owner, factor, variant, best = np.array([k for k, _ in self.variants]), {}, {}, {}
-        for k, candidate in enumerate(self.candidates):
-            if candidate.label in weights:
-                own = np.flatnonzero(owner == k)
-                best[candidate.label] = int(own[first_of_best(by_group[own], logs=True)])
-                factor[candidate.label] = float(np.logaddexp.reduce(by_group[own]) - np.log(len(own)))
-                variant[candidate.label] = self.variants[best[candidate.label]][1]
-        ordered = [list(factor)[k] for k in ranked(list(factor.values()))]
+        prior = PRIOR_FURTHER if skip else PRIOR_FIRST
+        given = prior_weights(self.candidates, prior, skip), prior["none"]
+        by_kappa = dict(zip(self.groups, self._screened(), strict=True))
+        log_weights = np.log(KAPPA_WEIGHTS)
+        logs = {k: float(np.logaddexp.reduce(own + log_weights)) for k, own in by_kappa.items()}
+        first = Ranking.of_variants(logs, *given)
+        ordered = [list(first.log_factor)[k] for k in ranked(list(first.log_factor.values()))]
         listed = [label for label in ordered if self.by_label[label].listed][:EXACT_CANDIDATES]
         unlisted = [k for k in ordered if not self.by_label[k].listed]
-        tried = {best[label] for label in (*listed, *unlisted[:3])}
+        tried = {(label, first.variant[label]) for label in (*listed, *unlisted[:3])}
         # What a noise of some rows explains, their columns do not show.
-        masked = {k for k, group in enumerate(self.groups) if self.masks.issuperset(group)}
-        for k in sorted(tried | masked):
-            at = first_of_best(by_kappa[k] + np.log(KAPPA_WEIGHTS), logs=True)
-            problem = self.with_causes(self.groups[k], KAPPA_GRID[-1 if k in masked else at])
+        masked = {key for key, group in self.groups.items() if self.masks.issuperset(group)}
+        for key in [k for k in self.groups if k in tried | masked]:
+            at = first_of_best(by_kappa[key] + log_weights, logs=True)
+            problem = self.with_causes(self.groups[key], KAPPA_GRID[-1 if key in masked else at])
             gain = problem.fit.log_evidence - self.fit.log_evidence
-            label = self.candidates[owner[k]].label
-            if k not in masked:
-                factor[label] += gain - float(by_kappa[k].max())
-            elif gain - np.log(sum(owner == owner[k])) > factor.get(label, np.inf):
-                factor[label] = gain - float(np.log(sum(owner == owner[k])))
-                variant[label] = self.variants[k][1]
-        mass = {label: float(np.log(weights[label])) + f for label, f in factor.items()}
-        none = float(np.log((PRIOR_FURTHER if skip else PRIOR_FIRST)["none"]))
-        return Ranking(1.0, {}, factor, mass, variant, {}).normalised(none)
+            alike = [k for k in logs if k[0] == key[0]]
+            if key not in masked:
+                logs |= {k: logs[k] + gain - float(by_kappa[key].max()) for k in alike}
+            elif gain > np.logaddexp.reduce([logs[k] for k in alike]):
+                logs |= {**dict.fromkeys(alike, -np.inf), key: gain}
+        return Ranking.of_variants(logs, *given)
 
 
 @dataclass(frozen=True)
@@ -337,7 +324,7 @@ class Outcome:
     @property
     def with_causes(self) -> LogProblem:
         """Return the problem with all causes that were found in its base."""
-        groups = [self.problem.group(f.label, f.variant) for f in self.found]
+        groups = [self.problem.groups[f.label, f.variant] for f in self.found]
         return self.problem.with_causes(np.sort(np.concatenate(groups))) if groups else self.problem
 
 
@@ -389,7 +376,7 @@ def is_usual_ripple(problem: LogProblem, found: Found) -> bool:
     rows = [r for r in problem.rows if r.kind == "torque" and str(r.joint + 1) == joint]
     if name != "ripple" or not rows:
         return False
-    columns = problem.group(found.label, found.variant)
+    columns = problem.groups[found.label, found.variant]
     x, here = problem.with_causes(columns).fit.x, np.isin(rows[0].columns, columns)
     amplitude = np.sqrt(2) * (rows[0].H[:, here] @ x[len(problem.mean) :]).std()
     dry = abs(x[problem.names.index(("torque", str(rows[0].joint), "slip"))])
@@ -451,16 +438,15 @@ def with_candidates(problem: LogProblem, made: Iterable[tuple[Candidate, list[Si
     made : variants of candidates, with the columns of their parameters at all samples, if any
     """
     candidates: dict[str, Candidate] = {}
-    variants, groups, width = [], [], 0
+    groups, width = dict[tuple[str, int], Array](), 0
     used: dict[tuple[str, int], Array] = {(r.kind, r.joint): r.used for r in problem.rows}
     columns: dict[tuple[str, int], list[tuple[int, Array]]] = {key: [] for key in used}
     for candidate, signals in made:
         if not signals:
             continue
         merged = candidates.setdefault(candidate.label, replace(candidate, variants=()))
-        variants.append((list(candidates).index(candidate.label), len(merged.variants)))
+        groups[candidate.label, len(merged.variants)] = width + np.arange(len(signals))
         candidates[candidate.label] = replace(merged, variants=(*merged.variants, *candidate.variants))
-        groups.append(width + np.arange(len(signals)))
         for signal in signals:
             for key, values in signal.items():
                 if key in columns:
@@ -471,6 +457,4 @@ def with_candidates(problem: LogProblem, made: Iterable[tuple[Candidate, list[Si
         own = columns.pop((r.kind, r.joint))
         H = np.stack([v for _, v in own], axis=1) if own else np.zeros((len(r.r), 0))
         rows.append(replace(r, H=H, columns=np.array([k for k, _ in own], dtype=np.int64)))
-    return replace(
-        problem, rows=tuple(rows), candidates=tuple(candidates.values()), variants=tuple(variants), groups=tuple(groups)
-    )
+    return replace(problem, rows=tuple(rows), candidates=tuple(candidates.values()), groups=groups)

@@ -47,7 +47,7 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
         made = ((candidate, signals_of(log, effect)) for candidate, effect in effects)
         smooth = smooth_functions(log, problem.rows, problem.fit.variance)
         problem = with_candidates(problem, chain(made, _plateaus(log), smooth))
-        own = zip(problem.groups, (problem.candidates[c].name for c, _ in problem.variants), strict=True)
+        own = ((group, problem.by_label[k].name) for (k, _), group in problem.groups.items())
         masks = frozenset(int(group[0]) for group, name in own if name == "saturation")
         return replace(problem, masks=masks)
     problem, replay, x = servo_problem(views)

@@ -191,8 +191,8 @@ class LogDiagnosis(Result):
         problem = self.outcome.problem
         if "payload" not in problem.by_label:
             return None
-        others = [problem.group(f.label, f.variant) for f in self.outcome.found if f.label != "payload"]
-        own = problem.group("payload", 0)
+        others = [problem.groups[f.label, f.variant] for f in self.outcome.found if f.label != "payload"]
+        own = problem.groups["payload", 0]
         complete = problem.with_causes(np.sort(np.concatenate([own, *others])), WIDE_SCALE)
         k = len(problem.mean) + int(np.searchsorted(np.sort(np.concatenate([own, *others])), own[0]))
         unit = UNDECLARED_PAYLOAD_SHARE * float(self.arm.inertial[::10].sum())
