@@ -24,7 +24,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Factors, MemoryLimits, factor_columns
 from casadical.core.linear_gaussian.model import LinearModel
-from casadical.core.linear_gaussian.noise import Grid, NoiseModel, gain
+from casadical.core.linear_gaussian.noise import Grid, NoiseModel
 from casadical.core.parameters import Parameter
 from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.robot import Robot, with_joint_harmonics
@@ -231,18 +231,6 @@ def model_of_campaigns(
     # Many campaigns have tens of thousands of columns, so that few blocks are added up at a time.
     memory = MemoryLimits(column_bytes=16_000_000, min_blocks=1)
     return LinearModel(r, R, np.zeros(p), spread, E, noise, grid, reference=1.0, memory=memory), groups
-
-
-def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
-    """Return the log Bayes factor of each change against none for all `KAPPAS`, (c, kappas).
-
-    H, b : information, (c, m, m), and score, (c, m), of the changes' m amplitudes
-    sizes : usual size of each amplitude, shape (m,)
-    """
-    values, V = np.linalg.eigh(sizes[:, None] * H * sizes)
-    values = np.maximum(values, 0.0)
-    turned = (V.transpose(0, 2, 1) @ (sizes * b)[:, :, None])[:, :, 0] ** 2
-    return gain(KAPPAS**-2.0, 1.0, values, turned)
 
 
 def jumps(n: int) -> Array:

@@ -21,11 +21,11 @@ import numpy as np
 from scipy.special import chdtrc, chdtri
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.noise import whitening_of
+from casadical.core.linear_gaussian.noise import log_gain_by_size, whitening_of
 from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.fleet.comparison import CAMPAIGNS_PER_YEAR, DAYS_PER_YEAR, weighted_hypotheses
 from casadical.fleet.estimates import readings_of
-from casadical.fleet.evidence import KAPPAS, RELATIVE_FREQUENCY, Candidate, candidates_of, daily, log_evidence
+from casadical.fleet.evidence import KAPPAS, RELATIVE_FREQUENCY, Candidate, candidates_of, daily
 from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.project.acceptance.budget import covariance_root
@@ -337,7 +337,7 @@ class TouchModel:
             for k, (base, P, *_) in enumerate(self.likelihood_terms):
                 PX = P @ X
                 H, b = X.transpose(0, 2, 1) @ PX, PX.transpose(0, 2, 1) @ y
-                logs = log_evidence(H, b, c.sizes) + base
+                logs = log_gain_by_size(c.sizes[:, None] * H * c.sizes, c.sizes * b, KAPPAS) + base
                 yield _Hypotheses(c, factors, Z, since, H, b, logs, weight, k)
 
     def drawn(self, seed: int = 0) -> Draws:

@@ -24,7 +24,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.noise import gain
+from casadical.core.linear_gaussian.noise import log_gain_by_size
 from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import scaled_inverse
@@ -199,10 +199,9 @@ def _prior_size_factors(whole: LeastSquares, v: Array, variance: float, given: R
         normal = M[np.ix_(rest, rest)] + np.diag(d[rest])
         others = joined(normal, c[rest] + d[rest] * mean[rest], float(mean @ (d * mean)), 0.0)
         along = others.root @ M[np.ix_(rest, arm)]
-        value, V = np.linalg.eigh(M[np.ix_(arm, arm)] - along.T @ along)
-        score = V.T @ (c[arm] - along.T @ others.z)
+        information, score = M[np.ix_(arm, arm)] - along.T @ along, c[arm] - along.T @ others.z
         likely[k] += others.log_norm - 0.5 * others.square + 0.5 * np.log(d).sum()
-        likely[k] += gain(grid**-2, 1.0, np.maximum(value, 0)[None], score[None] ** 2)[0]
+        likely[k] += log_gain_by_size(information[None], score[None], grid)[0]
     weight = np.exp(likely - likely.max())
     sizes = np.ones(len(v))
     for kind, axis in ((frames, 1), (arm, 0)):

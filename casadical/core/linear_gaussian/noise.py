@@ -272,3 +272,14 @@ def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Arra
             log += np.log(product)
             product[:] = 1.0
     return np.asarray(0.5 * (total / sigma**2 - log + value.shape[1] * np.log(unit)))
+
+
+def log_gain_by_size(H: Array, b: Array, kappas: Array) -> Array:
+    """Return the log Bayes factor of each group of parameters against none, shape (groups, kappas).
+
+    H, b : information, shape (groups, width, width), and score, shape (groups, width)
+    kappas : prior standard deviations of all parameters of a group
+    """
+    value, vector = np.linalg.eigh(H)
+    square = (vector.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0] ** 2
+    return gain(kappas**-2.0, 1.0, np.maximum(value, 0.0), square)

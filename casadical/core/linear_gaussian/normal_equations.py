@@ -90,10 +90,12 @@ def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joine
         new)
     right : products of their columns with the whitened residual of the model before, shape (new,)
     square, log_norm : those of the model before, see `Joined`
+    Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
-    # Scaled to unit diagonal, so that rank does not depend on the units of the parameters.
-    scale = 1 / np.sqrt(np.diag(normal))
-    L, z = reduced(normal * np.outer(scale, scale), scale * right)
+    from scipy.linalg import solve_triangular
+
+    L, scale = _factor(normal)
+    z = solve_triangular(L, scale * right, lower=True)
     return Joined(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
 
 
@@ -131,27 +133,13 @@ def inverse_of_triangle(L: Array) -> Array:
     return np.asarray(dtrtri(L, lower=1)[0])
 
 
-def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
-    """Return the Cholesky factor L of a normal matrix, (p, p), and the solution z of L z = right.
-
-    normal : normal matrix of unit diagonal, shape (p, p); right : shape (p,)
-    Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
-    """
-    L = _factor(normal)
-    from scipy.linalg import solve_triangular
-
-    return L, solve_triangular(L, right, lower=True)
-
-
 def root_of_inverse(normal: Array) -> Array:
     """Return a root R of the inverse R'R of a normal matrix, shape (p, p).
 
-    The matrix is scaled to unit diagonal first, so that its rank is judged independently of units.
-
     Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
-    scale = 1 / np.sqrt(np.diag(normal))
-    return np.asarray(inverse_of_triangle(_factor(normal * np.outer(scale, scale))) * scale)
+    L, scale = _factor(normal)
+    return np.asarray(inverse_of_triangle(L) * scale)
 
 
 def inverse_of(normal: Array) -> Array:
@@ -160,13 +148,17 @@ def inverse_of(normal: Array) -> Array:
     return np.asarray(root.T @ root)
 
 
-def _factor(normal: Array) -> Array:
-    """Return the Cholesky factor of a normal matrix of unit diagonal, regularised if necessary.
+def _factor(normal: Array) -> tuple[Array, Array]:
+    """Return the Cholesky factor of a normal matrix scaled to unit diagonal, and the scale, (p,).
 
+    Scaled so, its rank does not depend on the units of the parameters. It is regularised if
+    necessary.
     Raises numpy.linalg.LinAlgError where it is not positive definite, beyond round-off.
     """
+    scale = 1 / np.sqrt(np.diag(normal))
+    unit = normal * np.outer(scale, scale)
     try:
-        return np.linalg.cholesky(normal)
+        return np.linalg.cholesky(unit), scale
     except np.linalg.LinAlgError:
         # Round-off may take this much from a matrix of unit diagonal; it is added to its diagonal.
-        return np.linalg.cholesky(normal + 1e-10 * np.eye(len(normal)))
+        return np.linalg.cholesky(unit + 1e-10 * np.eye(len(unit))), scale

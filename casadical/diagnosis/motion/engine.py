@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.noise import log_gain_by_size
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS
@@ -221,8 +222,8 @@ class LogProblem:
                 residual[r.fold == k] = (r.r - r.J @ x[r.own])[r.fold == k]
         return out
 
-    def _screened(self) -> Array:
-        """Return the log evidence [nats] of groups of columns by prior size, (groups, kappas)."""
+    def _screened(self) -> dict[tuple[str, int], Array]:
+        """Return the log evidence [nats] of each of `groups` by prior size, shape (kappas,)."""
         fit, total = self.fit, sum(map(len, self.groups.values()))
         both, right = np.zeros((len(self.mean), total)), np.zeros(total)
         for r, s2 in zip(self.rows, fit.variance, strict=True):
@@ -231,18 +232,15 @@ class LogProblem:
                 both[np.ix_(r.own, r.columns)] += cross / s2
                 right[r.columns] += (own - cross.T @ fit.x[r.own]) / s2
         absorbed = np.linalg.solve(np.linalg.cholesky(fit.precision), both)
-        out = np.empty((len(self.groups), len(KAPPA_GRID)))
-        for k, group in enumerate(self.groups.values()):
+        out = {}
+        for key, group in self.groups.items():
             S = -absorbed[:, group].T @ absorbed[:, group]
             for r, s2 in zip(self.rows, fit.variance, strict=True):
                 low, high = np.searchsorted(r.columns, [group[0], group[-1] + 1])
                 if high > low:
                     at, H = r.columns[low:high] - group[0], r.H[:, low:high].astype(float)
                     S[np.ix_(at, at)] += r.share * H.T @ H / s2
-            values, vectors = np.linalg.eigh(S)
-            values, b = np.maximum(values, 0.0), vectors.T @ right[group]
-            for c, kappa in enumerate(KAPPA_GRID):
-                out[k, c] = 0.5 * (b**2 / (values + kappa**-2)).sum() - 0.5 * np.log1p(kappa**2 * values).sum()
+            out[key] = log_gain_by_size(S[None], right[None, group], KAPPA_GRID)[0]
         return out
 
     def rank(self, skip: frozenset[str] = frozenset()) -> Ranking:
@@ -252,7 +250,7 @@ class LogProblem:
         """
         prior = PRIOR_FURTHER if skip else PRIOR_FIRST
         given = prior_weights(self.candidates, prior, skip), prior["none"]
-        by_kappa = dict(zip(self.groups, self._screened(), strict=True))
+        by_kappa = self._screened()
         log_weights = np.log(KAPPA_WEIGHTS)
         logs = {k: float(np.logaddexp.reduce(own + log_weights)) for k, own in by_kappa.items()}
         first = Ranking.of_variants(logs, *given)

@@ -10,9 +10,9 @@ from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import (
+    joined,
     marginalised,
     normal_sums,
-    reduced,
     root_of_inverse,
 )
 
@@ -107,7 +107,7 @@ def test_a_root_of_the_inverse_holds_for_columns_of_very_unlike_length() -> None
 
 
 def test_what_is_not_positive_definite_is_refused() -> None:
-    for of in (root_of_inverse, lambda m: reduced(m, np.ones(2))):
+    for of in (root_of_inverse, lambda m: joined(m, np.ones(2), 0.0, 0.0)):
         with pytest.raises(np.linalg.LinAlgError):
             of(np.array([[1.0, 2.0], [2.0, 1.0]]))
 
