@@ -81,11 +81,11 @@ def conclude(
     stages = [(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
     shrinks = course(case, stages, partitions(case.evidence, seed), noise, seed)
     rest = max(0.0, (gap.after - gap.floor) / gap.before)
-    verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
+    more = state.rankings[-1]
+    flaw = more.log_factor[more.order[0]] <= SETTINGS.max_flaw * state.log_gain
+    verdict = _verdict(state, end, gap, rest, flaw, bool(causes), shrinks)
     exactly = with_additional_cause(cause_set(state), state, seed)
     if verdict == "explained":
-        more = state.rankings[-1]
-        flaw = more.log_factor[more.order[0]] <= SETTINGS.max_flaw * state.log_gain
         doubted = exactly and exactly.probability < SETTINGS.min_set and not flaw
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
     if verdict == "explained" and state.steps and account.doubt:
@@ -240,10 +240,11 @@ def _outliers_as_cause(
     return whole, (Cause("outliers", None, outlier_probability(distance[out]), shrink, interval, ()),)
 
 
-def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks: pd.DataFrame) -> Verdict:
+def _verdict(state: State, end: End, gap: Gap, rest: float, flaw: bool, found: bool, shrinks: pd.DataFrame) -> Verdict:
     """Return the verdict by the search's end, the fraction of the gap explained, and time blocks.
 
     rest : fraction of the gap that neither causes nor noise explain; found : if any cause is named
+    flaw : whether what is probable beside the causes may be a flaw of their equations
     shrinks : held-out errors as causes are added (see `course`)
     """
     if not state.steps and end in ("unknown", "ambiguous"):
@@ -253,8 +254,7 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
     if share < SETTINGS.min_explained and (end == "unknown" or rest > SETTINGS.max_unexplained):
         return "unknown"
-    last, claimed = state.rankings[-1], state.log_gain
-    if end == "unknown" and last.log_factor[last.order[0]] > SETTINGS.max_flaw * claimed > 0:
+    if end == "unknown" and state.log_gain > 0 and not flaw:
         return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous"

@@ -16,12 +16,11 @@ from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import RANDOM_LAG, better_ar_form, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.settings_search import refined
+from casadical.diagnosis.settings_search import log_evidence, refined
 from casadical.diagnosis.structure import shown_by
 from casadical.effects import Effect, TransmissionRipple
 
@@ -148,15 +147,11 @@ class State:
 
         chosen : indices of the columns in the model, shape (k,)
         """
-        judged, every = self.case.judged, [self.case.group((e,)) for e in effects]
-        gains = []
-        for own in every:
-            given = np.setdiff1d(np.union1d(chosen, np.concatenate(every)), own)
-            grids = judged.log_grids([own], given) + np.log(KAPPA_WEIGHTS)
-            gains.append(
-                float(np.logaddexp.reduce(grids, axis=None))
-                - float(np.logaddexp.reduce(judged.log_base(given), axis=None))
-            )
+        gains, every = [], np.union1d(chosen, self.case.group(effects))
+        for effect in effects:
+            given = np.setdiff1d(every, self.case.group((effect,)))
+            base = np.logaddexp.reduce(self.case.judged.log_base(given), axis=None)
+            gains.append(float(log_evidence(self.case, [(effect,)], given)[0] - base))
         return gains
 
     @property

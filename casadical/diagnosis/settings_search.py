@@ -71,7 +71,7 @@ def refined(
         if len(trial) == 1:
             break
         case = case.with_variants(dict.fromkeys(trial[1:], label))
-        log = _log_evidence(case, trial, chosen)
+        log = log_evidence(case, trial, chosen)
         best = _best(case, trial, log, chosen)
         if log[best] - log[0] < 0.3:  # nats
             halved += 1
@@ -98,7 +98,7 @@ def _between_poses(case: Case, label: str, effect: Effect, chosen: Array) -> tup
     near = middles[max(after - 5, 0) : after + 4].tolist()
     trial: list[tuple[Effect, ...]] = [*((replace(step, at=middle),) for middle in near), (effect,)]
     case = case.with_variants(dict.fromkeys(trial[:-1], label))
-    return case, trial[_best(case, trial, _log_evidence(case, trial, chosen), chosen)][0]
+    return case, trial[_best(case, trial, log_evidence(case, trial, chosen), chosen)][0]
 
 
 def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
@@ -125,7 +125,7 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     joined = [_with(e, **{other: v}) for e in plain for other, v in tried]
     every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]
     case = case.with_variants(dict.fromkeys(every[1:], label))
-    log = _log_evidence(case, every, chosen)
+    log = log_evidence(case, every, chosen)
     # A whole number may lack 2 nats and still be preferred to the fraction; an additional setting
     # must gain 5 nats over the fraction, and 7 nats over a whole number.
     price = {(e,): 5.0 for e in joined} | {(e,): -2.0 for e in plain}
@@ -137,7 +137,7 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     value = float(getattr(best, other))
     fine: list[tuple[Effect, ...]] = [(_with(best, **{other: value + step}),) for step in (0.0, -0.6, -0.3, 0.3, 0.6)]
     case = case.with_variants(dict.fromkeys(fine, label))
-    return case, fine[first_of_best(_log_evidence(case, fine, chosen), logs=True)]
+    return case, fine[first_of_best(log_evidence(case, fine, chosen), logs=True)]
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
@@ -148,12 +148,12 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
     equal = np.flatnonzero(log >= log.max() - 1e-6)  # settings between which the poses cannot tell
     if len(equal) > 1 and not case.inliers.all():
         every = case.with_inliers(np.ones_like(case.inliers))
-        of_all = _log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
+        of_all = log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
         equal = equal[of_all >= of_all.max() - 1e-6]
     return int(equal[0])
 
 
-def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
+def log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
     """Return the log evidence of each variant given chosen columns, shape (len(variants),)."""
     grids = case.judged.log_grids([case.group(v) for v in variants], chosen)
     return np.asarray(np.logaddexp.reduce((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1))

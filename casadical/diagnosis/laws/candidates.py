@@ -17,7 +17,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.marginals import Marginals, marginals_of
-from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
@@ -165,13 +164,12 @@ class LawProblem:
     """The linear model of the inlier poses, in which laws are judged as all candidates are.
 
     evidence : linear model without candidates; the causes in the model are part of its base
-    order, noise : under autocorrelated noise, indices of the poses in time order, and the noise by
-        which the evidence is prewhitened; None for white noise
+    case : case at whose poses laws are given and by whose noise the evidence is prewhitened; None:
+        laws are given as the evidence is
     """
 
     evidence: Evidence
-    order: Array | None = None
-    noise: SerialNoise | None = None
+    case: Case | None = None
 
     @classmethod
     def of_case(cls, case: Case, chosen: Array) -> LawProblem:
@@ -179,13 +177,13 @@ class LawProblem:
         alone = case.judged.with_causes_alone(chosen)
         # Three noise ratios, 0, 0.2 and 0.8, halve the time of thousands of laws.
         alone = replace(alone, near=tuple(k for k in alone.near if k in (0, 2, 4)) or alone.near)
-        if case.form is WHITE_FORM:
-            return cls(alone)
-        return cls(alone, case.order, case.form.serial(len(case.order)))
+        return cls(alone, case)
 
     def white(self, columns: Array) -> Array:
         """Return columns of laws (n, 3, ...) prewhitened for autocorrelation as the evidence is."""
-        return columns if self.noise is None else self.noise.whiten(columns[self.order])
+        if self.case is None or self.case.form is WHITE_FORM:
+            return columns
+        return self.case.form.serial(len(columns)).whiten(columns[self.case.order])
 
     def grids(self, columns: Array) -> tuple[Array, Array]:
         """Return the log evidence over none of K laws, (K,) [nats], and their log likelihoods.

@@ -31,14 +31,12 @@ from casadical.diagnosis.laws.search import (
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.search import State, Step
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
-
-# Label of a form, its effects, and the ranking from which it was taken.
-Form = tuple[str, tuple[Effect, ...], Ranking]
 
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
@@ -58,23 +56,24 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     if ranking.none > SETTINGS.max_p_nothing_further or by_label[ranking.order[0]].listed:
         return None
 
-    def columns_with(forms: Sequence[Form]) -> Array:
+    def columns_with(forms: Sequence[Step]) -> Array:
         """Return the indices of the columns of the causes and of some forms, shape (k,)."""
-        return np.union1d(found.columns, case.group([e for _, effects, _ in forms for e in effects]))
+        return np.union1d(found.columns, State(case).columns(forms))
 
-    def ranked(forms: Sequence[Form]) -> Ranking:
+    def ranked(forms: Sequence[Step]) -> Ranking:
         """Return the posterior over an additional form given some."""
-        return rank(case, columns_with(forms), named | {label for label, *_ in forms})
+        return rank(case, columns_with(forms), named.union(*(form.labels for form in forms)))
 
-    def next_form(given: Sequence[Form]) -> Form:
+    def next_form(given: Sequence[Step]) -> Step:
         """Return the most probable form in addition to some."""
         own = ranked(given) if given else ranking
-        return (label := own.order[0]), by_label[label].variants[own.variant[label]], own
+        label = own.order[0]
+        return Step(own, (label,), by_label[label].variants[own.variant[label]])
 
-    def enough(form: Form) -> bool:
+    def enough(form: Step) -> bool:
         """Return whether a form is added to the description."""
-        label, _, own = form
-        return own.none <= SETTINGS.max_p_nothing_further and own.probability[label] > 0.5
+        own = form.ranking
+        return own.none <= SETTINGS.max_p_nothing_further and own.probability[form.labels[0]] > 0.5
 
     _, forms, _ = stepwise(next_form, enough, 4)
     columns = columns_with(forms)
@@ -84,8 +83,8 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     after = partitioned_errors(case.evidence, columns, last.noise[""], seed)
     means = float(before.mean()), float(after.mean())
     interval = shrink_interval(before, after, seed, case.evidence.stop)
-    effects = tuple(e for _, variant, _ in forms for e in variant)
-    return Unlisted(tuple(label for label, *_ in forms), effects, *means, 1 - means[1] / means[0], interval, last)
+    effects = tuple(e for form in forms for e in form.effects)
+    return Unlisted(tuple(form.labels[0] for form in forms), effects, *means, 1 - means[1] / means[0], interval, last)
 
 
 def discover(
