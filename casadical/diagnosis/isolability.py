@@ -227,8 +227,8 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     metric of the noise [m^2].
     rho : ratio of joint repeatability to the instrument's sigma [rad/m]
     """
-    # The columns that are processed at once take 16 MB.
-    step = max(1, 16_000_000 // (24 * len(evidence.r)))
+    # The columns that are processed at once take 4 MB.
+    step = max(1, 4_000_000 // (24 * len(evidence.r)))
     projections = [evidence.projected(ratio) for ratio in (0.0, rho)]
     squares = []
     for first in range(0, evidence.width, step):

@@ -43,8 +43,8 @@ class MemoryLimits:
         in the space of observations instead of parameters
     """
 
-    column_bytes: int = 128_000_000
-    min_blocks: int = 256
+    column_bytes: int = 24_000_000
+    min_blocks: int = 64
     cache_bytes: int = 60_000_000
     part_bytes: int = 32_000_000
     max_observation_rows: int = 1500

@@ -168,8 +168,6 @@ class Fit:
         blocks : indices of the blocks in the fit
         """
         if len(blocks) == len(self.W):
-            if self._hat_root is not None:
-                return _blocks(self._hat_root.reshape(len(self.W), self.rows_per_block, -1))
             root = self.root
         else:
             root = root_of_inverse(self._sums_of(blocks).H + np.diag(self.prior**-2))
@@ -187,8 +185,10 @@ class Fit:
         rows, p = len(self.y), len(self.prior)
         if rows > self._memory.max_observation_rows or self._cached_columns is None:
             return None
-        if rows > p and self._hat_root is not None:
-            return np.asarray(np.eye(rows) - self._hat_root @ self._hat_root.T)
+        if rows > p:
+            hat_root = self._cached_columns @ self.root.T
+            hat = hat_root @ hat_root.T
+            return np.asarray(np.subtract(np.eye(rows), hat, out=hat))
         first = p - self.combined.width
         Q, _ = axes_of_base(self._cached_columns[:, :first], 1 / self.prior[:first])
         wide = self._cached_columns[:, first:] * self.prior[first:]

@@ -7,18 +7,18 @@ them, and results are cached (MacKay 1992; Kass and Raftery 1995).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import Combined
+from casadical.core.linear_gaussian.columns import Columns, Combined
 from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.noise import log_gain
 from casadical.core.linear_gaussian.normal_equations import Joined, joined, joined_base
-from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, CachedRows, GridSums
+from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, GridSums
 
 # Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
 # wide group of columns; the search to that side ends at the first that exceeds it.
@@ -37,45 +37,26 @@ class Chosen:
     log_base : log likelihood without an additional group, shape (points, sigmas); minus infinity at
         points that are not in `LinearModel.near`
     columns : indices of the columns of the groups in it
-    new : indices of those columns that `before` does not have, shape (new,)
-    combined : the new columns, those of complete parts replaced by combinations
+    runs : those that `before` does not have, by runs of consecutive ones
+    combined : these new columns, those of complete parts replaced by combinations
     before : model without the new columns; None for the base alone
     at : update of `before` by the new columns, by index of the grid point
-    V : coordinates of prepared columns in the orthonormal axes of the new ones, or of the base, by
-        index of the grid point, shape (columns, new)
-    b : products of prepared columns with the whitened residual of this model, by index of the grid
-        point, shape (columns, 1)
+    along : coordinates of the new columns in the axes of `before`, by index of the grid point,
+        shape (parameters of before, new)
     """
 
     log_base: Array
     columns: Array
-    new: Array
+    runs: Sequence[Array]
     combined: Combined
     before: Chosen | None
     at: dict[int, Joined]
-    V: dict[int, CachedRows]
-    b: dict[int, CachedRows]
+    along: dict[int, Array]
 
-    def axes(self, k: int, columns: Array) -> Array:
-        """Return coordinates of columns in the orthonormal axes of all parameters of the model.
-
-        They have the shape (*columns.shape, parameters).
-
-        k : index of the grid point; columns : indices, any shape
-        """
-        own = self.V[k][columns]
-        return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
-
-    def widened(self, width: int, memo: dict[int, Chosen]) -> Chosen:
-        """Return the same model for `width` columns, at least as many, with the same caches.
-
-        memo : models that were widened before, by the `id` of the old ones
-        """
-        if id(self) not in memo:
-            V, b = ({k: rows.widened(width) for k, rows in part.items()} for part in (self.V, self.b))
-            before = self.before and self.before.widened(width, memo)
-            memo[id(self)] = replace(self, V=V, b=b, before=before)
-        return memo[id(self)]
+    def estimate(self, k: int) -> Array:
+        """Return the estimate in the orthonormal axes of all parameters, shape (parameters,)."""
+        own = self.at[k].z
+        return own if self.before is None else np.append(self.before.estimate(k), own)
 
 
 class Marginals:
@@ -90,6 +71,18 @@ class Marginals:
         object.__setattr__(self.model, "cache", {})
         self.sums = GridSums(model, same)
         self._chosen: dict[bytes, Chosen] = {}
+        # Results for groups, by the bytes of the chosen columns (see `_spectra`, `_spectrum`).
+        self._narrow: dict[bytes, dict[bytes, tuple[Array, ...]]] = {}
+        self._wide: dict[tuple[bytes, bytes, int], tuple[Array, Array]] = {}
+
+    def of_other_columns(self, E: Columns, cause_prior: Array) -> Marginals:
+        """Return the marginal likelihoods of the same model with other columns of candidates.
+
+        cause_prior : their prior standard deviations, see `LinearModel`
+        """
+        other = Marginals(replace(self.model, E=E, cause_prior=cause_prior), self.sums)
+        other._chosen[NO_COLUMNS.tobytes()] = self._model_with(NO_COLUMNS)
+        return other
 
     def log_base(self, also: Array = NO_COLUMNS) -> Array:
         """Return the log likelihood of the base and some columns, shape (points, sigmas).
@@ -111,9 +104,7 @@ class Marginals:
         out = np.full((len(groups), grid.points, len(grid.sigmas), len(grid.kappas)), -np.inf)
         if not groups:
             return out
-        self._prepare(chosen, groups)
-        gram = self.sums.gram_matrices(groups)
-        widths = np.array([len(g) for g in groups])
+        spectra, widths = self._spectra(groups, chosen), np.array([len(g) for g in groups])
         for width in np.unique(widths):
             which = np.flatnonzero(widths == width)
             if width > MAX_NARROW_GROUP_COLUMNS:
@@ -121,14 +112,11 @@ class Marginals:
                 for g in which:
                     self._judge_wide_group(groups[int(g)], chosen, narrow, out[g])
                 continue
-            columns = np.stack([groups[int(g)] for g in which])
-            own = np.stack([gram[groups[int(g)].tobytes()] for g in which])
-            for k in model.near:
-                V = chosen.axes(k, columns)
-                value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
-                projected = np.einsum("gij,gi->gj", vector, chosen.b[k][columns][:, :, 0])
-                most = chosen.at[k].square
-                out[which, k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], value, projected, most)
+            some = [spectra[groups[int(g)].tobytes()] for g in which]
+            value, projected = (np.stack([own[i] for own in some]) for i in (2, 3))
+            for i, k in enumerate(model.near):
+                own, most = (value[:, i], projected[:, i]), chosen.at[k].square
+                out[which, k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], *own, most)
         return out
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
@@ -147,14 +135,21 @@ class Marginals:
             if len(self._chosen) > 2:
                 self._chosen.pop(next(iter(self._chosen)))
             self._chosen[key] = made
+            # The spectra are cached as long as the models, and the models on which these are built.
+            used = [*self._chosen.values()]
+            for model in used:
+                used += [model.before] if model.before else []
+            keys = {model.columns.tobytes() for model in used}
+            self._narrow = {k: spectra for k, spectra in self._narrow.items() if k in keys}
         return self._chosen[key]
 
     def _base(self) -> Chosen:
         """Return the model with the base parameters alone, without columns of causes."""
         model, sums = self.model, self.sums
         weights = model.reference / model.prior
-        at = {k: joined_base(sums.base[k], weights, model.delta0, sums.log_det[k]) for k in model.near}
-        return self._chosen_model(at, NO_COLUMNS, None, NO_COLUMNS, Combined(()))
+        grams = zip(model.near, sums.base, sums.log_det, strict=True)
+        at = {k: joined_base(gram, weights, model.delta0, log_det) for k, gram, log_det in grams}
+        return Chosen(self._log_base_of(at), NO_COLUMNS, (), Combined(()), None, at, {})
 
     def _join(self, columns: Array) -> Chosen:
         """Return a model with these columns in it, built from the cached one with most of them."""
@@ -169,57 +164,114 @@ class Marginals:
         if 0 < len(wide) < len(new):  # built on its own, for it takes long and is likely to be used again
             before = self._model_with(np.union1d(before.columns, wide))
             new = np.setdiff1d(columns, before.columns)
-        self._prepare(before, [new])
+        self._prepare(before, new)
+        self.sums.add_cross_products(runs := self.sums.runs(new), model.near, new)
         weights, every = model.reference / model.cause_prior_sigmas[new], model.combined(new)
-        own, at = self.sums.cross_products(new, model.near, new), {}
         precision, lost = np.diag(every.per_combination(weights**2)), every.sum_over_dropped(np.log(weights))
+        at, along = dict[int, Joined](), dict[int, Array]()
         for k in model.near:
-            along = every.combine(before.axes(k, new).T)
-            normal = every.combine(own[k].T) + precision - along.T @ along
-            right = every.combine(before.b[k][new][:, 0])
-            at[k] = joined(normal, right, before.at[k].square, before.at[k].log_norm - lost)
-        return self._chosen_model(at, columns, before, new, every)
+            axes, right = self._axes_and_right(before, k, new)
+            along[k] = every.combine(axes.T)
+            cross, last = self.sums.cross_products(runs, k, new), before.at[k]
+            normal = every.combine(cross.T) + precision - along[k].T @ along[k]
+            at[k] = joined(normal, every.combine(right), last.square, last.log_norm - lost)
+        return Chosen(self._log_base_of(at), columns, runs, every, before, at, along)
 
-    def _chosen_model(
-        self, at: dict[int, Joined], columns: Array, before: Chosen | None, new: Array, combined: Combined
-    ) -> Chosen:
-        """Return the model whose updates by new parameters are `at`, by index of the grid point.
-
-        The other arguments are fields of `Chosen`.
-        """
+    def _log_base_of(self, at: dict[int, Joined]) -> Array:
+        """Return `Chosen.log_base` of a model; at : as of `Chosen`."""
         model = self.model
         log_base = np.full((model.grid.points, len(model.grid.sigmas)), -np.inf)
         log_noise = np.broadcast_to(model.log_noise, log_base.shape)
         for k, own in at.items():
             log_base[k] = model.log_over_sigmas(own.square, own.log_norm) + log_noise[k]
-        V, b = ({k: CachedRows(model.width, width) for k in at} for width in (len(at[model.near[0]].z), 1))
-        return Chosen(log_base, columns, new, combined, before, at, V, b)
+        return log_base
 
-    def _prepare(self, chosen: Chosen, groups: Sequence[Array]) -> None:
-        """Cache V and b (see `Chosen`) of those columns of the groups that `chosen` has not cached.
+    def _prepare(self, chosen: Chosen, columns: Array) -> None:
+        """Accumulate the products of columns, of these indices, with those that `chosen` has."""
+        if chosen.before is not None:
+            self._prepare(chosen.before, columns)
+            self.sums.add_cross_products(chosen.runs, self.model.near, columns)
 
-        groups : indices of the columns of each group; the grid points are `LinearModel.near`
+    def _products(self, chosen: Chosen, k: int, columns: Array) -> Array:
+        """Return products of columns with the new ones of a model, orthogonal to the one before.
+
+        They have the shape (len(columns), new), and those with the base columns for the base alone.
+
+        k : index of the grid point; columns : indices of prepared columns
         """
-        near, P, before = self.model.near, self.model.J.shape[2], chosen.before
-        # Columns in the model are prepared too: a group may share some with them.
-        asked = np.unique(np.concatenate(groups))
-        more = asked[chosen.b[near[0]].place[asked] < 0]
-        if not more.size:
-            return
-        cross = {}
-        if before is not None:
-            self._prepare(before, [more])
-            cross = self.sums.cross_products(chosen.new, near, more)
-        for k in near:
-            if before is None:
-                products, residual_products = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
+        if chosen.before is None:
+            return self.sums.columns[self.model.near.index(k)][columns][:, :-1]
+        products = self.sums.cross_products(chosen.runs, k, columns)
+        products -= self._dot(chosen.before, k, columns, chosen.along[k])
+        return products
+
+    def _dot(self, chosen: Chosen, k: int, columns: Array, others: Array) -> Array:
+        """Return products of columns with others that a model spans, shape (len(columns), others).
+
+        Coordinates of all columns in many axes would take more memory than all else: they are not
+        cached but computed again from the products of the columns.
+
+        k : index of the grid point; columns : indices of prepared columns
+        others : their coordinates in the axes of all parameters, shape (parameters, others)
+        """
+        new = len(chosen.at[k].z)
+        total: Array = self._products(chosen, k, columns) @ (chosen.at[k].root.T @ others[-new:])
+        if chosen.before is not None:
+            total += self._dot(chosen.before, k, columns, others[:-new])
+        return total
+
+    def _axes_and_right(self, chosen: Chosen, k: int, columns: Array) -> tuple[Array, Array]:
+        """Return coordinates of columns in the axes of all parameters, and products with residual.
+
+        The shapes are (len(columns), parameters) and (len(columns),); the residual is the whitened
+        one of the model.
+
+        k : index of the grid point; columns : indices of prepared columns
+        """
+        estimate = chosen.estimate(k)
+        axes = self._dot(chosen, k, columns, np.eye(len(estimate)))
+        return axes, self.sums.columns[self.model.near.index(k)][columns][:, -1] - axes @ estimate
+
+    def _spectra(self, groups: Iterable[Array], chosen: Chosen) -> dict[bytes, tuple[Array, ...]]:
+        """Return results for narrow groups given a model, by the bytes of their indices.
+
+        They are the Gram matrix of the columns, whitened and orthogonal to the model, shape
+        (points, width, width); their products with the residual; the eigenvalues; and the products
+        with the columns along the eigenvectors, shape (points, width) each. All that are cached
+        are returned.
+
+        groups : indices of the columns of each group; wider groups are ignored
+        """
+        known = self._narrow.setdefault(chosen.columns.tobytes(), {})
+        narrow = {g.tobytes(): g for g in groups if len(g) <= MAX_NARROW_GROUP_COLUMNS}
+        new = {key: g for key, g in narrow.items() if key not in known}
+        if not new:
+            return known
+        self._prepare(chosen, np.unique(np.concatenate([*new.values()])))
+        gram = {} if chosen.before else self.sums.gram_matrices(new.values())
+        earlier = self._spectra(new.values(), chosen.before) if chosen.before else {}
+        by_width: dict[int, list[bytes]] = {}
+        for key, g in new.items():
+            by_width.setdefault(len(g), []).append(key)
+        # The coordinates of 512 columns are computed at a time.
+        starts = [(w, i) for w, keys in by_width.items() for i in range(0, len(keys), 512 // w)]
+        for w, first in starts:
+            keys = by_width[w][first : first + 512 // w]
+            columns = np.stack([new[key] for key in keys])
+            own = np.stack([gram[key] if gram else earlier[key][0] for key in keys])
+            if earlier:
+                right = np.stack([earlier[key][1] for key in keys])
             else:
-                products = cross[k]
-                products -= before.axes(k, more) @ chosen.combined.combine(before.axes(k, chosen.new).T)
-                residual_products = before.b[k][more][:, 0]
-            V = products @ chosen.at[k].root.T
-            chosen.V[k].add(more, V)
-            chosen.b[k].add(more, (residual_products - V @ chosen.at[k].z)[:, None])
+                right = np.stack([rows[columns][:, :, -1] for rows in self.sums.columns], axis=1)
+            for i, k in enumerate(self.model.near):
+                V = self._products(chosen, k, columns.ravel()) @ chosen.at[k].root.T
+                V = V.reshape(*columns.shape, -1)
+                own[:, i] -= V @ V.transpose(0, 2, 1)
+                right[:, i] -= V @ chosen.at[k].z
+            value, vector = np.linalg.eigh(own)
+            projected = np.einsum("gpij,gpi->gpj", vector, right)
+            known.update(zip(keys, zip(own, right, value, projected, strict=True), strict=True))
+        return known
 
     def _judge_wide_group(self, group: Array, chosen: Chosen, narrow: Array, out: Array) -> None:
         """Write the log likelihood with a group of many columns into `out`.
@@ -261,16 +313,22 @@ class Marginals:
 
         k : index of the grid point
         """
-        every = self.model.combined(group)
+        key, every = (chosen.columns.tobytes(), group.tobytes(), k), self.model.combined(group)
+        if key in self._wide:
+            return self._wide[key]
         # With fewer rows than columns, the smaller matrix of the rows is decomposed.
         if self.model.r.size < every.width:
             projection = self.model.with_base(chosen.columns).projection(self.model.grid.at(k))
             E = projection.columns(self.model.take(group))
             value, vector = np.linalg.eigh(E @ E.T)
-            return value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ projection.y)
-        V = every.combine(chosen.axes(k, group).T)
-        value, vector = np.linalg.eigh(self.sums.wide_gram_matrix(group, k) - V.T @ V)
-        return value, vector.T @ every.combine(chosen.b[k][group][:, 0])
+            self._wide[key] = value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ projection.y)
+        else:
+            self._prepare(chosen, group)
+            axes, right = self._axes_and_right(chosen, k, group)
+            V = every.combine(axes.T)
+            value, vector = np.linalg.eigh(self.sums.wide_gram_matrix(group, k) - V.T @ V)
+            self._wide[key] = value, vector.T @ every.combine(right)
+        return self._wide[key]
 
 
 def marginals_of(model: LinearModel) -> Marginals:
@@ -291,15 +349,16 @@ def take_over_cache(model: LinearModel, other: LinearModel, changed: Sequence[Li
     if "marginals" not in other.cache:
         return
     own = marginals_of(other)
-    same = not changed and {*model.near} <= {*own.model.near}
-    model.cache["marginals"] = more = Marginals(model, own.sums if same else None)
+    if not {*model.near} <= {*own.model.near} or (changed and model.near != own.model.near):
+        return
+    model.cache["marginals"] = more = Marginals(model, None if changed else own.sums)
     if changed:
         more.sums.move(own.sums, *map(GridSums, changed))
     else:
         more.sums.extend(own.sums)
-    if model.width > own.model.width:
-        made: dict[int, Chosen] = {}
-        more._chosen = {key: chosen.widened(model.width, made) for key, chosen in own._chosen.items()}
+    if model.width > own.model.width and model.near == own.model.near:
+        more._chosen, more._wide = dict(own._chosen), dict(own._wide)
+        more._narrow = {key: dict(spectra) for key, spectra in own._narrow.items()}
 
 
 def loss_of_finer_noise(model: LinearModel, log_base: Array) -> Array:

@@ -8,7 +8,7 @@ likelihood over it.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,16 @@ class Axes:
     precision: Array
     log_det: Array
     plain: bool = False
+
+    def at(self, points: Sequence[int]) -> "Axes":
+        """Return the same eigenvectors for those of the grid points that are among `points`."""
+        own = [i for i, k in enumerate(self.points) if k in points]
+        return replace(
+            self,
+            points=tuple(self.points[i] for i in own),
+            precision=self.precision[own],
+            log_det=self.log_det[own],
+        )
 
     def rotated(self, rows: Array, blocks: slice = slice(None)) -> Array:
         """Return rows of some blocks in the eigenbasis, shape (k, m, columns).

@@ -1,4 +1,4 @@
-"""Gram matrices of the whitened columns for every point of the noise grid, by sums over blocks.
+"""Gram matrices of the whitened columns for the evaluated points of the noise grid.
 
 In the axes of a block's noise its whitening is a weight for each of its rows (see `noise.Axes`), so
 that columns are rotated once and weighted for each point. Products are accumulated some blocks at a
@@ -24,32 +24,46 @@ MAX_NARROW_GROUP_COLUMNS = 64
 
 
 class GridSums:
-    """Whitened Gram matrices of base, residual and columns at every point of the noise grid.
+    """Whitened Gram matrices of base, residual and columns at the points `LinearModel.near`.
 
     Whitening is for sigma = 1.
 
     E : columns of the candidates; shape : numbers of blocks and of rows of each
+    near : indices of the grid points, which are the axis "points" of the arrays
     base : Gram matrix of the P base columns and the residual, in this order, shape (points, P + 1,
-        P + 1); zero at points that are not in `LinearModel.near`
+        P + 1)
     log_det : log determinant of the noise covariance of all blocks in units of sigma^2, shape
         (points,)
     """
 
     def __init__(self, model: LinearModel, same: GridSums | None = None) -> None:
-        """Accumulate the sums of base and residual, or take over the `same` of another model."""
+        """Accumulate the sums of base and residual, or take over the `same` of another model.
+
+        same : sums of a model with the same blocks and base, evaluated at these points or more
+        """
         self.E, self.shape, self._memory = model.E, model.r.shape, model.memory
-        self._axes = model.noise.axes(model.grid.ratios)
-        self._points = sum(len(axes.points) for axes in self._axes)
-        self.log_det = np.concatenate([axes.log_det for axes in self._axes])
+        self.near = model.near
         self._given, width = (model.J, model.r[:, :, None]), model.J.shape[2] + 1
-        self.base: Array = same.base if same else np.zeros((self._points, width, width))
+        if same:
+            places = [same.near.index(k) for k in self.near]
+            self.log_det: Array = same.log_det[places]
+            self.base: Array = same.base[places]
+        every = [axes for axes, _ in same._axes] if same else model.noise.axes(model.grid.ratios)
+        # Each eigenbasis has a slice of the points `near`.
+        self._axes: list[tuple[Axes, slice]] = []
+        for axes in (a.at(self.near) for a in every if not {*self.near}.isdisjoint(a.points)):
+            first = self.near.index(axes.points[0])
+            self._axes.append((axes, slice(first, first + len(axes.points))))
+        if not same:
+            self.log_det = np.concatenate([axes.log_det for axes, _ in self._axes])
+            self.base = np.zeros((len(self.near), width, width))
         for blocks in () if same else self._slices(width):
-            for axes in self._axes:
+            for axes, points in self._axes:
                 rotated = self._rotated_base(axes, blocks)
-                for k, precision in zip(axes.points, axes.precision[:, blocks], strict=True):
-                    if k in model.near:
-                        white = (rotated * np.sqrt(precision[:, :, None])).reshape(-1, width)
-                        self.base[k] += white.T @ white
+                roots = np.sqrt(axes.precision[:, blocks, :, None])
+                for total, root in zip(self.base[points], roots, strict=True):
+                    white = (rotated * root).reshape(-1, width)
+                    total += white.T @ white
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
         self._cross: dict[tuple[int, int, int], CachedRows] = {}
@@ -59,33 +73,44 @@ class GridSums:
         return axes.rotated(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
 
     @cached_property
-    def columns(self) -> Array:
+    def columns(self) -> list[CachedRows]:
         """Return whitened products of all columns with the P base columns and with the residual.
 
-        Their shape is (columns, points, P + 1), the residual's last; they are computed once.
+        There is a cache of rows of P + 1 numbers, the residual's last, for each grid point.
         """
-        return self._products_with_base(self.E)
+        made = [CachedRows(self.E.shape[2], self.base.shape[1]) for _ in self.near]
+        self._add_products_with_base(made, np.arange(self.E.shape[2]), self.E)
+        return made
 
     def extend(self, other: GridSums) -> None:
         """Take over the cached sums of a model with the same blocks and the first of these columns.
 
         Products of the additional columns with base and residual are computed, too.
+
+        other : sums at these grid points or more
         """
-        width = other.E.shape[2]
-        self._own, self._wide = dict(other._own), dict(other._wide)
-        self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in other._cross.items()}
-        self.columns = other.columns
+        width, places = other.E.shape[2], [other.near.index(k) for k in self.near]
+        same = self.near == other.near
+        self._own = dict(other._own) if same else {k: own[places] for k, own in other._own.items()}
+        self._wide = {key: own for key, own in other._wide.items() if key[1] in self.near}
+        cross = {key: rows for key, rows in other._cross.items() if key[2] in self.near}
+        self._cross = {key: rows.widened(self.E.shape[2]) for key, rows in cross.items()}
+        self.columns = [other.columns[i].widened(self.E.shape[2]) for i in places]
         if self.E.shape[2] > width:
-            more = self.E.only(np.arange(width, self.E.shape[2]))
-            self.columns = np.concatenate([other.columns, self._products_with_base(more)])
+            more = np.arange(width, self.E.shape[2])
+            self._add_products_with_base(self.columns, more, self.E.only(more))
 
     def move(self, other: GridSums, lost: GridSums, gained: GridSums) -> None:
-        """Take over the cached sums of a model with other blocks.
+        """Take over the cached sums of a model with other blocks, at the same grid points.
 
         The sums of the lost blocks are subtracted, those of the gained ones added.
         """
         parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.shape[0]]
-        self.columns = other.columns + sum(sign * part.columns for sign, part in parts)
+        every = np.arange(self.E.shape[2])
+        self.columns = [CachedRows(len(every), rows.numbers) for rows in other.columns]
+        for i, rows in enumerate(self.columns):
+            changes = (sign * part.columns[i][every] for sign, part in parts)
+            rows.add(every, other.columns[i][every] + sum(changes))
         groups = [np.frombuffer(key, dtype=np.int64) for key in other._own]
         for _, part in parts:
             part.gram_matrices(groups)
@@ -121,12 +146,12 @@ class GridSums:
         if not new:
             return self._own
         stacks = {w: np.stack(gs) for w, gs in by_width.items()}
-        totals = {w: np.zeros((self._points, len(s), w, w)) for w, s in stacks.items()}
+        totals = {w: np.zeros((len(self.near), len(s), w, w)) for w, s in stacks.items()}
         used = np.unique(np.concatenate([which.ravel() for which in stacks.values()]))
         E = self.E.only(used)
-        for blocks in self._slices(E.shape[2]):
+        for blocks in self._slices(3 * E.shape[2]):  # of copies of the columns
             F, levers = E.factors(blocks), E.levers(blocks)
-            for axes in self._axes:
+            for axes, points in self._axes:
                 for rows, columns, by_column in _by_rows(F, axes.rotated(levers, blocks)):
                     weights = axes.precision[:, blocks, rows].transpose(0, 2, 1).reshape(len(axes.points), -1)
                     place = np.full(len(used), len(columns))  # the index past the last column is a column of zeros
@@ -135,9 +160,9 @@ class GridSums:
                         there = place[np.searchsorted(used, which)]
                         acts = np.flatnonzero((there < len(columns)).any(axis=1))
                         part = by_column[there[acts]]
-                        for k, weight in zip(axes.points, weights, strict=True):
+                        for total, weight in zip(totals[w][points], weights, strict=True):
                             scaled = part * np.sqrt(weight)
-                            totals[w][k, acts] += scaled @ scaled.transpose(0, 2, 1)
+                            total[acts] += scaled @ scaled.transpose(0, 2, 1)
         for w, which in stacks.items():
             for i, g in enumerate(which):
                 self._own[g.tobytes()] = totals[w][:, i]
@@ -168,20 +193,22 @@ class GridSums:
         groups = [np.frombuffer(key, dtype=np.int64) for key, _ in self._wide]
         return max((g for g in groups if np.isin(g, columns).all()), key=len, default=columns[:0])
 
-    def cross_products(self, columns: Array, points: Sequence[int], wanted: Array) -> dict[int, Array]:
-        """Return whitened products of columns with combinations of others, by index of the point.
+    def runs(self, columns: Array) -> list[Array]:
+        """Return runs of consecutive indices, split where those with cached products begin or end.
 
-        They have the shape (len(wanted), width) for the `width` combinations of the others.
-
-        columns : indices of the others, rising; products are cached by runs of consecutive indices
-        points : indices of the grid points
-        wanted : indices of the columns, rising; all columns of a cause or none
+        columns : indices of the columns, rising
         """
         firsts, lasts = ([key[k] for key in self._cross] for k in (0, 1))
         apart = (np.diff(columns) != 1) | np.isin(columns[1:], firsts) | np.isin(columns[:-1], lasts)
-        runs = np.split(columns, np.flatnonzero(apart) + 1)
-        self.add_cross_products(runs, points, wanted)
-        return {k: np.concatenate([self._cross[_key(run, k)][wanted] for run in runs], axis=1) for k in points}
+        return np.split(columns, np.flatnonzero(apart) + 1)
+
+    def cross_products(self, runs: Sequence[Array], k: int, wanted: Array) -> Array:
+        """Return whitened products of columns with combinations of others, shape (wanted, width).
+
+        runs : indices of the others, as they were added by `add_cross_products`
+        k : index of the grid point; wanted : indices of the columns, in any order
+        """
+        return np.concatenate([self._cross[_key(run, k)][wanted] for run in runs], axis=1)
 
     def add_cross_products(self, runs: Sequence[Array], points: Sequence[int], wanted: Array) -> None:
         """Accumulate and cache the products of wanted columns with runs of columns.
@@ -216,25 +243,21 @@ class GridSums:
         E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
         edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
         total = np.zeros((E.shape[2], len(points), every.width))
-        for blocks in self._slices(E.shape[2]):
+        for blocks in self._slices(every.width * len(points)):
             G = R.factors(blocks).combined(every)
             self._add_products(total, E.factors(blocks), G, E.levers(blocks), blocks, points)
         for run, start, end in zip(runs, edges[:-1], edges[1:], strict=True):
             for i, k in enumerate(points):
                 self._cross[_key(run, k)].add(new, total[:, i, start:end])
 
-    def _products_with_base(self, E: Columns) -> Array:
-        """Compute whitened products of columns E with the P base columns and with the residual.
-
-        Their shape is (columns, points, P + 1), the residual's last.
-        """
+    def _add_products_with_base(self, made: list[CachedRows], indices: Array, E: Columns) -> None:
+        """Add the products of some columns E, of these indices, to `columns`."""
         numbers = self.base.shape[1]
-        total = np.zeros((E.shape[2], self._points, numbers))
+        total = np.zeros((E.shape[2], len(self.near), numbers))
         for blocks in self._slices(E.shape[2]):
             F, levers = E.factors(blocks), E.levers(blocks)
-            for axes in self._axes:
-                rotated = self._rotated_base(axes, blocks)
-                U, points = axes.rotated(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
+            for axes, points in self._axes:
+                rotated, U = self._rotated_base(axes, blocks), axes.rotated(levers, blocks)
                 diagonal = _has_diagonal_levers(U)
                 precision = axes.precision[:, blocks].transpose(1, 0, 2)
                 for s, columns, values in F.blocks:
@@ -244,7 +267,8 @@ class GridSums:
                     across = (precision[:, :, rows] * U[:, None, rows, s]) @ rotated[:, rows]
                     product = values @ across.reshape(len(U), -1)
                     total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
-        return total
+        for cached, own in zip(made, total.transpose(1, 0, 2), strict=True):
+            cached.add(indices, own)
 
     def _add_products(
         self, total: Array, F: Factors, G: Factors, levers: Array, blocks: slice, points: Sequence[int]
@@ -255,7 +279,7 @@ class GridSums:
         levers : derivatives of the rows by the intermediate variables, shape (blocks, m, variables)
         points : indices of the grid points
         """
-        for axes in self._axes:
+        for axes, _ in self._axes:
             at = [i for i, k in enumerate(points) if k in axes.points]
             if at:
                 own, places = [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
@@ -331,13 +355,16 @@ class CachedRows:
 
     columns : number of all columns
     place : index of each column's row in the cache, or -1, shape (columns,)
-    count : number of cached rows
     numbers : length of a row
+
+    The rows stay in the arrays in which they were added, which caches of more columns share.
     """
 
     def __init__(self, columns: int, numbers: int) -> None:
-        self.place, self.count, self.numbers = np.full(columns, -1), 0, numbers
-        self._rows = np.empty((0, numbers))
+        self.place, self.numbers = np.full(columns, -1), numbers
+        self._parts: list[Array] = []
+        # The index of the first row of each part, then the number of rows.
+        self._starts = np.zeros(1, dtype=np.int64)
 
     def __getitem__(self, columns: Array) -> Array:
         """Return the cached rows of columns of these indices, shape (*columns.shape, numbers).
@@ -347,26 +374,28 @@ class CachedRows:
         place = self.place[columns]
         if place.size and place.min() < 0:
             raise KeyError(f"columns {columns[place < 0]} were not added up")
-        return np.asarray(self._rows[place])
+        if len(self._parts) == 1:
+            return np.asarray(self._parts[0][place])
+        rows = np.empty((*place.shape, self.numbers))
+        part_of = np.searchsorted(self._starts, place, side="right") - 1
+        for k in np.unique(part_of).tolist():
+            own = part_of == k
+            rows[own] = self._parts[k][place[own] - self._starts[k]]
+        return rows
 
     def add(self, columns: Array, rows: Array) -> None:
-        """Add the rows, shape (k, numbers), of k columns of these indices; none is cached yet."""
-        more = self.count + len(rows)
-        if not self.count:
-            self._rows = rows
-        elif more > len(self._rows):
-            # The capacity is doubled, since rows are added many times.
-            grown = np.empty((max(more, min(2 * len(self._rows), len(self.place))), rows.shape[1]))
-            grown[: self.count] = self._rows[: self.count]
-            self._rows = grown
-        if self.count:
-            self._rows[self.count : more] = rows
-        self.place[columns] = np.arange(self.count, more)
-        self.count = more
+        """Add the rows, shape (k, numbers), of k columns of these indices; none is cached yet.
+
+        They are not copied.
+        """
+        if len(rows):
+            self._parts.append(rows)
+            self._starts = np.append(self._starts, self._starts[-1] + len(rows))
+            self.place[columns] = np.arange(*self._starts[-2:])
 
     def widened(self, columns: int) -> CachedRows:
         """Return a cache for `columns` columns, at least as many, with the same rows."""
         more = CachedRows(columns, self.numbers)
         more.place[: len(self.place)] = self.place
-        more._rows, more.count = self._rows[: self.count], self.count
+        more._parts, more._starts = list(self._parts), self._starts
         return more

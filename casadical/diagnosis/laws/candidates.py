@@ -16,7 +16,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns
-from casadical.core.linear_gaussian.marginals import Marginals, marginals_of
+from casadical.core.linear_gaussian.marginals import marginals_of
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
@@ -192,8 +192,8 @@ class LawProblem:
         columns : those of each law, shape (n, 3, K, w)
         """
         every = self.white(columns.reshape(*columns.shape[:2], -1))
-        own, prior = marginals_of(self.evidence), np.full(every.shape[2], CAUSE_PRIOR_SIGMA)
-        judged = Marginals(replace(own.model, E=array_columns(every), cause_prior=prior), own.sums)
+        prior = np.full(every.shape[2], CAUSE_PRIOR_SIGMA)
+        judged = marginals_of(self.evidence).of_other_columns(array_columns(every), prior)
         groups = list(np.arange(every.shape[2]).reshape(columns.shape[2:]))
         grids = np.asarray(judged.log_grids(groups) + np.log(KAPPA_WEIGHTS))
         none = float(np.logaddexp.reduce(self.evidence.log_base(), axis=None))
@@ -202,13 +202,13 @@ class LawProblem:
     def judged(self, candidates: Sequence[LawCandidate]) -> list[ScoredLaw]:
         """Return each candidate with the best settings of its grid."""
         laws: list[ScoredLaw] = []
-        # Batches have candidates with equal numbers of columns, of about 60 MB of columns each.
+        # Batches have candidates with equal numbers of columns, of about 16 MB of columns each.
         size, batches = dict[int, int](), dict[tuple[int, int], list[LawCandidate]]()
         for c in candidates:
             width = len(c.function.form.parts) * c.unit.shape[2]
             numbers = width * c.unit[..., 0].size * len(c.function.settings)
             size[width] = size.get(width, 0) + 8 * numbers
-            batches.setdefault((width, size[width] // 60_000_000), []).append(c)
+            batches.setdefault((width, size[width] // 16_000_000), []).append(c)
         for some in batches.values():
             logs, grids = self.grids(np.concatenate([c.columns() for c in some], axis=2))
             edges = np.cumsum([0, *(len(c.function.settings) for c in some)])
