@@ -24,7 +24,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
+from casadical.core.linear_gaussian.noise import log_gain_by_size
+from casadical.core.linear_gaussian.normal_equations import inverse_of, normal_sums, root_of_inverse
 from casadical.core.statistics import thirds
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
@@ -243,13 +244,10 @@ def _drawn_variances(
         # The covariance is formed without the group: subtracting the group would leave only
         # round-off where it explains much.
         root = root_of_inverse(_total(K, np.where(np.arange(len(size)) == k, 0.0, size), sigma**2))
-        white = root @ g
-        d, axes = np.linalg.eigh(white.T @ white)
-        own = even * VARIANCE_FACTORS[:, None]
-        grown = 1 + own * np.maximum(d, 0.0)
-        log = 0.5 * (own * (axes.T @ (white.T @ (root @ y))) ** 2 / grown - np.log(grown)).sum(axis=1)
+        sums = normal_sums(root @ y, root @ g)
         # The prior is uniform in the standard deviation (Gelman 2006).
-        log += 0.5 * np.log(VARIANCE_FACTORS)
+        log = 0.5 * np.log(VARIANCE_FACTORS)
+        log += log_gain_by_size(sums.H[None], sums.g[None], np.sqrt(even * VARIANCE_FACTORS))[0]
         share = np.cumsum(np.exp(log - log.max()))
         drawn = rng.random(SETTINGS.variance_draws) * share[-1]
         sizes.append(even * np.exp(np.interp(drawn, share, np.log(VARIANCE_FACTORS))))

@@ -177,16 +177,14 @@ def learnt_sizes(
     places_of = {part: first + fit.combined.places(own[places]) for part, places in parts.items()}
     prior, mean = fit.prior.copy(), fit.mean
     factors, scale, rows = dict.fromkeys(parts, 1.0), 1.0, len(fit.y)
-    square = float(fit.y @ fit.y)
     for _ in range(8):
         normal = sums.H / scale + np.diag(prior**-2)
         root = root_of_inverse(normal)
         x = root.T @ (root @ (sums.g / scale + mean / prior**2))
         determined = 1 - (root**2).sum(axis=0) / prior**2
-        residual_square = square - 2 * sums.g @ x + x @ sums.H @ x
         before = (scale, *factors.values())
         # The lower bound prevents that the noise shrinks to zero with more parameters than rows.
-        scale = max(float(residual_square / (rows - determined.sum())), 0.05**2)
+        scale = max(float(sums.moved(-x).square / (rows - determined.sum())), 0.05**2)
         for part, at in places_of.items():
             count = float(determined[at].sum())
             # A part's size is learnt only if the data determine more than one of its parameters.

@@ -140,7 +140,7 @@ def posterior_of(
         S = scaled_inverse(sums.H / s2 + np.diag(1 / variance))
         mean = -S @ sums.g / s2
         determined = len(variance) - float(np.sum(np.diag(S) / variance))
-        square = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean)
+        square = float(sums.moved(mean).square)
         missing = max(0.0, MIN_NOISE_FREEDOM - (sums.count - determined))
         s2 = max((square + missing * alone) / (sums.count - determined + missing), MIN_COORDINATE_SIGMA_MM**2)
         for joint in doubts.joints:
