@@ -86,7 +86,7 @@ def main() -> None:
     print("real data, SO-101, commands and readings alone: verdict of each motion, and what fits best (a hint)")
     for log in logs:
         answer = diagnose_log(robot, log)
-        ranking = answer.outcome.rankings[0]
+        ranking = answer.rankings[0]
         hint = f"{ranking.order[0]} {ranking.probability[ranking.order[0]]:.2f}" if answer.verdict != "none" else ""
         print(f"  {log.source.removesuffix('.csv.gz'):30} {answer.verdict:10} {hint}")
 

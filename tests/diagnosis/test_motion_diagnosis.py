@@ -262,7 +262,7 @@ def test_a_joint_that_never_moves_is_no_cause():
 def test_friction_that_has_grown_is_told_with_a_reference_alone():
     log = simulated(1, drier)
     assert not diagnose_log(ROBOT, log).fitting
-    assert diagnose_log(ROBOT, log, simulated(7)).outcome.found[0].label == "coulomb_friction@1"
+    assert diagnose_log(ROBOT, log, simulated(7)).found[0].label == "coulomb_friction@1"
 
 
 def test_what_is_on_no_list_is_not_named():
@@ -279,7 +279,7 @@ def one_way(run, t, q, v, tau):
 @pytest.mark.slow
 def test_what_sticks_one_way_alone_is_no_ripple():
     found = diagnose_log(ROBOT, simulated(5, one_way, runs=4))
-    first = found.outcome.found[0]
+    first = found.found[0]
     assert not first.listed
     assert "joint 2 by angle, one way" in first.label
     assert not found.fitting
@@ -476,7 +476,7 @@ def test_a_rival_wins_by_its_name_and_is_not_named_as_a_cause():
     integrated = replace(log, command=log.command - 0.8 * wound * [0, 1, 0])
     for one, name in ((simulated(1, worn), "bump"), (switched, "gain_switching"), (integrated, "integrator_windup")):
         found = diagnose_log(ROBOT, one)
-        assert found.outcome.found[0].label == f"{name}@2"
+        assert found.found[0].label == f"{name}@2"
         assert (found.verdict, found.named) == ("unknown", ())
         words = " ".join(plain_text(found.blocks(), 200).split())
         assert f"no listed cause fits it, but {name.replace('_', ' ')} does: joint 2: " in words
@@ -488,7 +488,7 @@ def worn_and_contact(run, t, q, v, tau):
 
 def test_a_cause_is_named_although_another_joint_has_one_on_no_list():
     found = diagnosed(1, worn_and_contact)
-    assert not any(f.listed for f in found.outcome.found if joint_of(f.label) == "2")
+    assert not any(f.listed for f in found.found if joint_of(f.label) == "2")
     assert [f.label for f in found.named] == ["contact@3"]
     assert "in joint 2 is more than on the list" in " ".join(plain_text(found.blocks(), 200).split())
 
@@ -521,7 +521,7 @@ def test_a_cause_of_ones_own_is_judged_beside_the_list(tmp_path):
     (tmp_path / "tooth.effect.toml").write_text(TOOTH)
     own = own_causes([str(tmp_path / "tooth.effect.toml")])
     found = diagnose_log(ROBOT, simulated(1, worn), own=own)
-    assert found.outcome.rankings[0].order[0] == "worn_tooth@2"
+    assert found.rankings[0].order[0] == "worn_tooth@2"
     assert "joint 2: a worn tooth holds the joint" in " ".join(plain_text(found.blocks(), 200).split())
     with pytest.raises(InputError, match="own ones are files"):
         own_causes(["lag"])
@@ -558,7 +558,7 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
         monkeypatch.undo()
         effects_by_name.cache_clear()
         motion_effects.cache_clear()
-    assert found.outcome.rankings[0].order[0] == "toy_tooth@2"
+    assert found.rankings[0].order[0] == "toy_tooth@2"
     assert "toy_tooth" not in motion_effects()
 
 
@@ -579,17 +579,17 @@ def test_a_cause_fits_with_more_evidence_than_healthy_logs_and_smooth_functions_
 
 def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
     labels = (("lag@1", 400.0), ("saturation@1", 120.0), ("ripple@2", 50.0), ("spring@3", 80.0))
-    outcome = SimpleNamespace(found=[Found(k, 0, True, 1.0, (k,), gain, 0.0) for k, gain in labels])
+    found = [Found(k, 0, True, 1.0, (k,), gain, 0.0) for k, gain in labels]
     for torque, named in ((1.0, ["lag@1", "spring@3"]), (None, [])):
         view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
-        assert [f.label for f in LogDiagnosis(None, view, outcome, ()).named] == named
+        assert [f.label for f in LogDiagnosis(None, view, None, found, (), ()).named] == named
 
 
 @pytest.mark.parametrize(("gain", "torque", "fits"), [(150, None, 0), (160, None, 1), (150, 1.0, 1)])
 def test_of_commands_alone_a_cause_of_the_arm_needs_more_than_healthy_logs_have(gain, torque, fits):
     view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
-    outcome = SimpleNamespace(found=[Found("warm_up", 0, True, 1.0, ("warm_up",), gain, 0.0)])
-    assert bool(LogDiagnosis(None, view, outcome, ()).fitting) == fits
+    found = [Found("warm_up", 0, True, 1.0, ("warm_up",), gain, 0.0)]
+    assert bool(LogDiagnosis(None, view, None, found, (), ()).fitting) == fits
 
 
 @pytest.mark.parametrize(("unit", "factor", "word"), [("", 1e3, "mrad"), ("A", 1.0, "A")])

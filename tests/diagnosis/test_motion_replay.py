@@ -132,12 +132,12 @@ def pendulum(seed, dry=0.12, late=LATE):
 @pytest.mark.slow
 def test_a_later_servo_is_told_and_friction_is_not_without_a_reference():
     robot, healthy = pendulum(1)
-    assert not diagnose_log(robot, pendulum(3, 0.13)[1], healthy).outcome.found
+    assert not diagnose_log(robot, pendulum(3, 0.13)[1], healthy).found
     found = diagnose_log(robot, pendulum(2, late=LATE + 0.08)[1], healthy)
-    assert found.outcome.found[0].label.partition("@")[0] in ("transport_delay", "lag")
+    assert found.found[0].label.partition("@")[0] in ("transport_delay", "lag")
     assert found.gap()[2][0] < 0.1 * found.gap()[0][0]
     alone = diagnose_log(robot, pendulum(2, 0.4)[1])
-    assert not any("friction" in label for label in alone.outcome.rankings[0].order)
+    assert not any("friction" in label for label in alone.rankings[0].order)
     assert "Friction cannot be judged without a log of the healthy arm" in plain_text(alone.blocks(), 400)
 
 

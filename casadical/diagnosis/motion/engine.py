@@ -181,6 +181,11 @@ class LogProblem:
         mean = np.append(self.mean, np.zeros(q))
         return replace(self, rows=tuple(rows), mean=mean, covariance=covariance)
 
+    def given(self, found: Iterable[Found]) -> LogProblem:
+        """Return the problem with causes that were found in its base."""
+        groups = [self.groups[f.label, f.variant] for f in found]
+        return self.with_causes(np.sort(np.concatenate(groups))) if groups else self
+
     @cached_property
     def prior_precision(self) -> Array:
         """Return the inverse of the prior covariance, shape (P, P)."""
@@ -307,25 +312,6 @@ class Found:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """Result of a search.
-
-    problem : base and candidates; found : causes in the model
-    rankings : posterior over the next cause in each step
-    """
-
-    problem: LogProblem
-    found: tuple[Found, ...]
-    rankings: tuple[Ranking, ...]
-
-    @property
-    def with_causes(self) -> LogProblem:
-        """Return the problem with all causes that were found in its base."""
-        groups = [self.problem.groups[f.label, f.variant] for f in self.found]
-        return self.problem.with_causes(np.sort(np.concatenate(groups))) if groups else self.problem
-
-
 # Pairs of effects that one log may not distinguish; those without masses only at the same joint.
 TWIN_EFFECTS = ({"transport_delay", "lag"}, {"payload", "link_mass"}, {"servo_stiffness", "torque_constant"})
 
@@ -343,9 +329,10 @@ def twins_of(label: str, ranking: Ranking) -> tuple[str, ...]:
     return label, *(k for k in alike if name in ("payload", "link_mass") or k.partition("@")[2] in ("", joint))
 
 
-def search(problem: LogProblem) -> Outcome:
+def search(problem: LogProblem) -> tuple[tuple[Found, ...], tuple[Ranking, ...]]:
     """Return the causes of a log, added one by one until no additional one is detected.
 
+    The second item is the posterior over the next cause in each step.
     The search also ends where evidence is below `MIN_EVIDENCE`, after a second unlisted cause and
     after `MAX_CAUSES`.
     """
@@ -353,16 +340,14 @@ def search(problem: LogProblem) -> Outcome:
     rankings: tuple[Ranking, ...] = ()
     least = min(MIN_EVIDENCE[r.kind] for r in problem.rows)
     while True:
-        skip = frozenset(f.label for f in found)
-        current = Outcome(problem, found, rankings).with_causes
-        ranking = current.rank(skip)
+        ranking = problem.given(found).rank(frozenset(f.label for f in found))
         rankings = (*rankings, ranking)
         best = next_cause(problem, ranking)
         if ranking.none > MAX_NOTHING_PROBABILITY or best.gain < least or len(found) == MAX_CAUSES:
-            return Outcome(problem, found, rankings)
+            return found, rankings
         found = (*found, replace(best, usual=is_usual_ripple(problem, best)))
         if sum(not f.listed for f in found) > 1:
-            return Outcome(problem, found, rankings)
+            return found, rankings
 
 
 def is_usual_ripple(problem: LogProblem, found: Found) -> bool:

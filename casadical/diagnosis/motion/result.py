@@ -13,12 +13,13 @@ from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, rounded_at
 from casadical.diagnosis.motion.effect_table import EffectTable
-from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, Outcome, joint_of, search
+from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, joint_of, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
 from casadical.diagnosis.motion.hypotheses import NAMED_RIVALS, problem_of
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
 from casadical.diagnosis.motion.view import UNDECLARED_PAYLOAD_SHARE, LogView, log_view
+from casadical.diagnosis.posterior import Ranking
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
@@ -45,7 +46,8 @@ MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 class LogDiagnosis(Result):
     """Diagnosis of a joint log: verdict, causes, residuals.
 
-    log : the diagnosed log; view : its residuals and signals; outcome : result of the search
+    log : the diagnosed log; view : its residuals and signals; problem : base and candidates
+    found : causes in the model; rankings : posterior over the next cause in each step
     stops : angles at which joints stop while commands go on
     faults : faults of the log itself; reference : source of the healthy log, empty without one
     contradictions : sentences on contradictions between the log and the robot file
@@ -64,7 +66,7 @@ class LogDiagnosis(Result):
         Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting]),
         Key(
             "alike",
-            lambda d: [_plain(k, d.outcome.rankings[0].probability[k]) for f in d.outcome.found[:1] for k in f.twins],
+            lambda d: [_plain(k, d.rankings[0].probability[k]) for f in d.found[:1] for k in f.twins],
         ),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
@@ -73,7 +75,7 @@ class LogDiagnosis(Result):
         Key("torque_by_model", lambda d: d.torques.plain["models"] if d.torques else {}),
         Key("friction_law", lambda d: d.torques.plain["laws"] if d.torques else {}),
         Key("ranking"),
-        Key("none", lambda d: d.outcome.rankings[0].none),
+        Key("none", lambda d: d.rankings[0].none),
         Key("payload_kg", lambda d: (p := d.payload()) and dict(zip(("beyond", "sigma"), p, strict=True))),
         Key("findings", "log.findings"),
         Key("cannot_tell", lambda d: cannot_tell(d.log, d.arm, bool(d.reference))),
@@ -81,7 +83,9 @@ class LogDiagnosis(Result):
 
     log: JointLog
     view: LogView
-    outcome: Outcome
+    problem: LogProblem
+    found: tuple[Found, ...]
+    rankings: tuple[Ranking, ...]
     faults: tuple[Fault, ...]
     stops: tuple[Stop, ...] = ()
     reference: str = field(default="", metadata=WRITTEN)
@@ -101,7 +105,7 @@ class LogDiagnosis(Result):
         torques and of no joint `MIN_ARM_HINT_EVIDENCE`. They are named if torques were logged, else
         hints; () if the log is faulty.
         """
-        found = () if self.faults else self.outcome.found
+        found = () if self.faults else self.found
         joints = [joint_of(f.label) for f in found]
         alone = self.view.motion.torque is None
         least = MIN_FURTHER_EVIDENCE if alone else 0.0
@@ -122,9 +126,9 @@ class LogDiagnosis(Result):
         """Return "explained" (fault, stop or cause), "ambiguous", "unknown" or "none"."""
         if self.faults or self.stops or self.named:
             return "explained"
-        if not self.outcome.found:
+        if not self.found:
             return "none"
-        first = self.outcome.found[0]
+        first = self.found[0]
         return "ambiguous" if first.listed and first.probability < MIN_CLEAR_PROBABILITY else "unknown"
 
     @cached_property
@@ -154,7 +158,7 @@ class LogDiagnosis(Result):
         of torques [A or N m] in sliding where they were logged, otherwise of positions [rad], by
         the nominal model the command.
         """
-        problem, complete, m = self.outcome.problem, self.outcome.with_causes, self.view.motion
+        problem, complete, m = self.problem, self.problem.given(self.found), self.view.motion
         nominal = [r.r for r in problem.rows]
         if m.torque is None and m.command is not None:
             nominal = [(m.position - m.command)[r.used, r.joint] for r in problem.rows]
@@ -168,16 +172,16 @@ class LogDiagnosis(Result):
         The models are the fitted base, and base with causes; units are those of `gap`. Each run is
         predicted by a fit to the others (or each third of one run).
         """
-        return self._held_out(()), self._held_out(self.outcome.found)
+        return self._held_out(()), self._held_out(self.found)
 
     def _held_out(self, found: Sequence[Found]) -> Array:
         """Return the rms residuals of each joint in held-out runs, with these causes."""
-        return self._rms(replace(self.outcome, found=tuple(found)).with_causes.held_out())
+        return self._rms(self.problem.given(found).held_out())
 
     @cached_property
     def cause_effects(self) -> EffectTable | None:
         """Return the errors in held-out runs without each named cause; None without any."""
-        found, unit = self.outcome.found, self.unit[0]
+        found, unit = self.found, self.unit[0]
         without = {f.label: self._held_out([g for g in found if g is not f]) for f in self.named}
         names, title = self.log.joints[: self.arm.joints], "Held-out runs, beyond a usual arm,"
         every = (*self.held_out_gap(), without, title, unit or "mrad", 1.0 if unit else 1e3)
@@ -188,10 +192,10 @@ class LogDiagnosis(Result):
 
         None where payload is no candidate.
         """
-        problem = self.outcome.problem
+        problem = self.problem
         if "payload" not in problem.by_label:
             return None
-        others = [problem.groups[f.label, f.variant] for f in self.outcome.found if f.label != "payload"]
+        others = [problem.groups[f.label, f.variant] for f in self.found if f.label != "payload"]
         own = problem.groups["payload", 0]
         complete = problem.with_causes(np.sort(np.concatenate([own, *others])), WIDE_SCALE)
         k = len(problem.mean) + int(np.searchsorted(np.sort(np.concatenate([own, *others])), own[0]))
@@ -202,19 +206,19 @@ class LogDiagnosis(Result):
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis as blocks of sentences and tables."""
         said = [*(f.sentence for f in self.faults), *(_stop_in_words(s, self.log) for s in self.stops)]
-        hints = [in_words(self.outcome.problem, *f.twins) for f in self.fitting]
+        hints = [in_words(self.problem, *f.twins) for f in self.fitting]
         if self.named:
-            others = dict.fromkeys(joint_of(f.label) for f in self.outcome.found if not f.listed)
+            others = dict.fromkeys(joint_of(f.label) for f in self.found if not f.listed)
             said += [*hints, *(f"in joint {joint} is more than on the list" for joint in others)]
-        elif self.outcome.found and not self.stops:
+        elif self.found and not self.stops:
             said.append("more is there than in a usual arm")
-            first = self.outcome.found[0].label
+            first = self.found[0].label
             said[-1] += f", most of all in joint {joint_of(first)}" if joint_of(first) else ""
             said[-1] += f"; no cause is named, but a hint fits: {hints[0]}" if hints else "; no listed cause fits it"
-            name = self.outcome.problem.by_label[first].name
+            name = self.problem.by_label[first].name
             if name in NAMED_RIVALS:
                 does = f"and so does {name}" if hints else f"but {name} does"
-                said[-1] += f", {does.replace('_', ' ')}: {in_words(self.outcome.problem, first)}"
+                said[-1] += f", {does.replace('_', ' ')}: {in_words(self.problem, first)}"
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
             said=said,
@@ -249,7 +253,7 @@ class LogDiagnosis(Result):
 
         It is a text, "" if the base's residual is about equal everywhere. j : 0-based
         """
-        problem, m = self.outcome.problem, self.view.motion
+        problem, m = self.problem, self.view.motion
         rows = problem.rows[j]
         residual = rows.r - rows.J @ problem.fit.x[rows.own]
         if not residual.any():
@@ -267,7 +271,7 @@ class LogDiagnosis(Result):
 
     def _fits(self) -> Table:
         """Return the table of the most probable causes, and of none, each with its probability."""
-        ranking, problem = self.outcome.rankings[0], self.outcome.problem
+        ranking, problem = self.rankings[0], self.problem
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(problem, label))
             for label in ranking.order[:MAX_SHOWN_CAUSES]
@@ -306,7 +310,7 @@ class LogDiagnosis(Result):
     @property
     def ranking(self) -> list[dict[str, Any]]:
         """Return what is `certain`, then the ten likeliest first causes with log evidence [nats]."""
-        first = self.outcome.rankings[0]
+        first = self.rankings[0]
         fits = [{**_plain(k, first.probability[k]), "log_evidence": first.log_factor[k]} for k in first.order[:10]]
         return [*self.certain, *fits]
 
@@ -392,13 +396,15 @@ def diagnose_log(
     show("signals and rigid bodies")
     views = log_views_of(robot, log, reference, healthy)
     show("hypotheses")
-    outcome = search(problem_of(views, [*motion_effects().values(), *own]))
+    problem = problem_of(views, [*motion_effects().values(), *own])
     bodies = determined(robot, log)
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", views[0].arm
     faults = tuple(faults_of(log, arm, reference))
     stops = tuple(stops_of(arm.dynamics, [*log.runs()]))
-    return LogDiagnosis(log, views[0], outcome, faults, stops, compared, contradictions(robot, log), numbers)
+    return LogDiagnosis(
+        log, views[0], problem, *search(problem), faults, stops, compared, contradictions(robot, log), numbers
+    )
 
 
 def log_views_of(
