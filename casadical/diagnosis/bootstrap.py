@@ -8,7 +8,6 @@ listed or not, against none (Davison and Hinkley, Bootstrap Methods and their Ap
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,20 +16,10 @@ from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, RHO_GRID, Ev
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
-
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Columns of one setting of a cause, decomposed at one repeatability ratio.
-
-    columns : indices of the columns, shape (k,)
-    log_weight : log prior probability of the cause with this setting
-    value, vector : eigenvalues and eigenvectors of the columns' Gram matrix, shapes (k,) and (k, k)
-    """
-
-    columns: Array
-    log_weight: float
-    value: Array
-    vector: Array
+# One setting of a cause at one repeatability ratio: the indices of its columns, (k,), log prior
+# probability of the cause with this setting, and eigenvalues, (k,), and eigenvectors, (k, k), of the
+# columns' Gram matrix.
+Group = tuple[Array, float, Array, Array]
 
 
 def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> float:
@@ -103,7 +92,7 @@ def _groups(case: Case, white: Array) -> list[Group]:
         E = white[:, columns]
         value, vector = np.linalg.eigh(E.T @ E)
         log_weight = float(np.log(weights[label] / count[label]))
-        groups.append(Group(columns, log_weight, np.maximum(value, 0), vector))
+        groups.append((columns, log_weight, np.maximum(value, 0), vector))
     return groups
 
 
@@ -125,10 +114,10 @@ def log_likelihoods(
     signal = ((KAPPA_GRID[None, :] / sigma[:, None]) ** 2).ravel()
     own = np.repeat(sigma, len(KAPPA_GRID))
     log_kappa = np.tile(np.log(KAPPA_WEIGHTS), len(sigma))
-    for g in groups:
-        gain = 1 + signal[:, None] * g.value
-        quad = (signal[:, None] / gain / own[:, None] ** 2) @ (g.vector.T @ b[g.columns]) ** 2
-        constant = g.log_weight + log_kappa - 0.5 * np.log(gain).sum(axis=1)
+    for columns, log_weight, value, vector in groups:
+        gain = 1 + signal[:, None] * value
+        quad = (signal[:, None] / gain / own[:, None] ** 2) @ (vector.T @ b[columns]) ** 2
+        constant = log_weight + log_kappa - 0.5 * np.log(gain).sum(axis=1)
         logs = np.repeat(base, len(KAPPA_GRID), axis=0) + constant[:, None] + 0.5 * quad
         something = np.logaddexp(something, np.logaddexp.reduce(logs, axis=0))
     return np.logaddexp.reduce(base, axis=0), something

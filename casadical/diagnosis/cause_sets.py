@@ -16,29 +16,12 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
-# Causes of a set: the effects of each, with settings, by label.
+# Causes of a set: the effects of each, with settings, by label, in the order of choice.
 Chosen = Mapping[str, tuple[Effect, ...]]
+# A set of causes with its ranking of an additional one.
+Ranked = tuple[Chosen, Ranking]
 # Function that returns, for each of some sets, the ranking of an additional cause given it.
 RankingsGiven = Callable[[Sequence[Chosen]], Sequence[Ranking]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Set:
-    """A set of causes with its ranking of an additional one.
-
-    chosen : effects of each cause by label, in the order of choice
-    log_mass : log of the set's prior times evidence
-    ranking : posterior over an additional cause given the set
-    """
-
-    chosen: Chosen
-    log_mass: float
-    ranking: Ranking
-
-    def more(self) -> Iterable[tuple[frozenset[str], str, float]]:
-        """Yield (labels, new label, log mass) of each set with one more cause than this set."""
-        for label, mass in self.ranking.log_mass.items():
-            yield frozenset((*self.chosen, label)), label, self.log_mass + mass
 
 
 @dataclass(eq=False)
@@ -48,7 +31,7 @@ class _Search:
     rankings_given : function that returns the rankings given sets
     variants : effects of each variant of each candidate, by label
     listed : labels that may be named; mass : log mass of each set found so far, by its labels
-    reached : for each set, the smaller set from which it was reached and the label that was added
+    reached : for each set, the smaller ranked set from which it was reached and the added label
     expanded : labels of the sets whose ranking was computed
     """
 
@@ -56,41 +39,42 @@ class _Search:
     variants: Mapping[str, tuple[tuple[Effect, ...], ...]]
     listed: frozenset[str]
     mass: dict[frozenset[str], float] = field(default_factory=dict)
-    reached: dict[frozenset[str], tuple[_Set, str]] = field(default_factory=dict)
+    reached: dict[frozenset[str], tuple[Ranked, str]] = field(default_factory=dict)
     expanded: set[frozenset[str]] = field(default_factory=set)
 
-    def take(self, found: _Set) -> _Set:
+    def take(self, chosen: Chosen, ranking: Ranking) -> Ranked:
         """Record a ranked set and all sets with one more cause, and return the former."""
-        self.expanded.add(frozenset(found.chosen))
-        for labels, label, mass in found.more():
-            if mass > self.mass.get(labels, -np.inf) + TIE_TOLERANCE:
-                self.mass[labels], self.reached[labels] = mass, (found, label)
-        return found
+        own = frozenset(chosen)
+        self.expanded.add(own)
+        for label, mass in ranking.log_mass.items():
+            labels, total = own | {label}, self.mass.get(own, 0.0) + mass
+            if total > self.mass.get(labels, -np.inf) + TIE_TOLERANCE:
+                self.mass[labels], self.reached[labels] = total, ((chosen, ranking), label)
+        return chosen, ranking
 
-    def expand(self, sets: Sequence[frozenset[str]]) -> list[_Set]:
+    def expand(self, sets: Sequence[frozenset[str]]) -> list[Ranked]:
         """Rank an additional cause given each set of these labels; record and return the sets."""
         chosen = []
-        for before, label in (self.reached[labels] for labels in sets):
-            chosen.append({**before.chosen, label: self.variants[label][before.ranking.variant[label]]})
-        rankings = self.rankings_given(chosen)
-        masses = [self.mass[labels] for labels in sets]
-        return [self.take(_Set(*one)) for one in zip(chosen, masses, rankings, strict=True)]
+        for (before, ranking), label in (self.reached[labels] for labels in sets):
+            chosen.append({**before, label: self.variants[label][ranking.variant[label]]})
+        return [self.take(*one) for one in zip(chosen, self.rankings_given(chosen), strict=True)]
 
     def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
         """Return the labels of the `count` sets of largest mass that are not expanded yet."""
         unexpanded = [k for k in of if k not in self.expanded]
         return [unexpanded[k] for k in ranked([self.mass[k] for k in unexpanded], logs=True)[:count]]
 
-    def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
+    def gaining(self, sets: Iterable[Ranked]) -> set[frozenset[str]]:
         """Return the labels of the sets with one more cause, if it gains enough evidence.
 
         All causes are listed ones; the gain is more than `Settings.min_set_log_gain`.
         """
+        least = SETTINGS.min_set_log_gain
         return {
-            labels
-            for s in sets
-            for labels, label, _ in s.more()
-            if labels <= self.listed and s.ranking.log_factor[label] > SETTINGS.min_set_log_gain
+            frozenset((*chosen, label))
+            for chosen, ranking in sets
+            for label in ranking.log_mass
+            if self.listed >= {*chosen, label} and ranking.log_factor[label] > least
         }
 
 
@@ -113,7 +97,7 @@ def most_probable_set(
     """
     listed = frozenset(twins)
     search = _Search(rankings_given, variants, listed)
-    root = search.take(_Set({}, 0.0, first))
+    root = search.take({}, first)
     # Sets are built from six first causes, and from three sets of each larger size.
     frontier, width = [root], 6
     for _ in range(SETTINGS.max_causes - steps):
@@ -125,8 +109,8 @@ def most_probable_set(
     for _ in range(2):
         mixed = (
             k
-            for k, (before, label) in search.reached.items()
-            if not k <= listed and k <= variants.keys() and before.ranking.log_factor[label] > SETTINGS.min_set_log_gain
+            for k, ((_, before), label) in search.reached.items()
+            if not k <= listed and k <= variants.keys() and before.log_factor[label] > SETTINGS.min_set_log_gain
         )
         search.expand(search.best(mixed, 1))
     none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
@@ -151,5 +135,5 @@ def most_probable_set(
     # Where all listed sets together are less probable than 0.9, against those with an unlisted cause,
     # each cause must be in sets of probability 0.95.
     doubted = frozenset(c for c in best if share < 0.9 and without[c] > 1 - 0.95)
-    before, last = search.reached[best]
-    return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)
+    (before, _), last = search.reached[best]
+    return ((), frozenset()) if doubted == best else ((*before, last), doubted)

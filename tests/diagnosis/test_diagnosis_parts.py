@@ -124,7 +124,7 @@ def test_odds_of_a_draw_are_those_of_its_density() -> None:
     rng = np.random.default_rng(0)
     column, Y, sigma = 4e-5 * rng.normal(size=(12, 1)), 3e-5 * rng.normal(size=(12, 3)), np.array([2e-5, 3e-5])
     value, vector = np.linalg.eigh(column.T @ column)
-    group = bootstrap.Group(np.array([0]), np.log(0.3), value, vector)
+    group = (np.array([0]), np.log(0.3), value, vector)
     nothing, something = bootstrap.log_likelihoods(column, Y, [group], sigma, 0.0, 12)
     for k, y in enumerate(Y.T):
         parts = [[multivariate_normal(cov=s**2 * np.eye(12) + kappa**2 * column @ column.T).logpdf(y)
