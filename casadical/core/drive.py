@@ -41,24 +41,18 @@ EachSigned = (
 _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
 # Damping or velocity gain: unit suffixes of its keys, and its largest value [SI].
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
-# Integral gain: unit suffixes of its keys, and its largest value [SI].
-_INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
 # Torque or force: unit suffixes of its keys, and its largest absolute value [SI].
 _TORQUE = Quantity({"_Nm": 1.0, "_N": 1.0}, 1e9)
 # Motor current: unit suffixes of its keys, and its largest value [A].
 _CURRENT = Quantity({"_A": 1.0, "_mA": 1e-3}, 1e6)
 # Joint speed: unit suffixes of its keys, and its largest value [SI].
 _SPEED = Quantity({"_rad_s": 1.0, "_deg_s": np.pi / 180, "_m_s": 1.0, "_mm_s": 1e-3}, 1e5)
-# Torque or force constant of a motor: unit suffixes of its keys, and its largest value [SI].
-_CONSTANT = Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)
 # Rotor inertia: unit suffixes of its keys, and its largest value [SI].
 _INERTIA = Quantity({"_kgm2": 1.0, "_kg": 1.0}, 1e6)
 # Resolution of a joint reading, or a stop: unit suffixes of its keys, largest absolute value [SI].
 _ANGLE = Quantity({"_rad": 1.0, "_deg": np.pi / 180, "_m": 1.0, "_mm": 1e-3}, 10.0)
 # Time: unit suffixes of its keys, and its largest value [s].
 _TIME = Quantity({"_s": 1.0, "_ms": 1e-3}, 10.0)
-# Height: unit suffixes of its keys, and its largest value [m].
-_HEIGHT = Quantity({"_m": 1.0, "_mm": 1e-3}, 1e4)
 
 
 class Drive(TomlTable):
@@ -100,7 +94,7 @@ class Drive(TomlTable):
     servo: str = ""
     kp: Annotated[Each, _STIFFNESS] = None
     kd: Annotated[Each, _DAMPING] = None
-    ki: Annotated[Each, _INTEGRAL] = None
+    ki: Annotated[Each, Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)] = None
     friction: Annotated[Each, _TORQUE] = None
     damping: Annotated[Each, _DAMPING] = None
     bias: Annotated[EachSigned, _TORQUE] = None
@@ -108,7 +102,7 @@ class Drive(TomlTable):
     current_limit: Annotated[Each, _CURRENT] = None
     speed_limit: Annotated[Each, _SPEED] = None
     gear_ratio: Positive = None
-    torque_constant: Annotated[Positive, _CONSTANT] = None
+    torque_constant: Annotated[Positive, Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)] = None
     rotor_inertia: Annotated[Each, _INERTIA] = None
     rotor_inertia_at_joint: Annotated[Each, _INERTIA] = None
     joint_stiffness: Annotated[Each, _STIFFNESS] = None
@@ -119,7 +113,7 @@ class Drive(TomlTable):
     delay: Annotated[Each, _TIME] = None
     command_filter: Annotated[Each, _TIME] = None
     read_skew: Annotated[Each, _TIME] = None
-    floor: Annotated[float | None, _HEIGHT] = None
+    floor: Annotated[float | None, Quantity({"_m": 1.0, "_mm": 1e-3}, 1e4)] = None
     lower_stop: Annotated[EachSigned, _ANGLE] = None
     upper_stop: Annotated[EachSigned, _ANGLE] = None
     log_rate_Hz: Annotated[float, Field(gt=0, le=1e6)] | None = None

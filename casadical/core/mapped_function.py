@@ -238,12 +238,6 @@ LIBRARY_LOOKUP_POINTS = 500
 COMPILATION_POINTS = 200_000
 # Largest number of points that are evaluated at a time; mapping over more of them takes longer.
 MAX_CHUNK_POINTS = 1024
-# Largest number of output numbers that are computed at a time (but see MIN_CHUNK_POINTS): Jacobians
-# then fit the processor's cache.
-MAX_CHUNK_NUMBERS = 400_000
-# Smallest number of points that are evaluated at a time, even if they have more than
-# MAX_CHUNK_NUMBERS output numbers.
-MIN_CHUNK_POINTS = 64
 
 
 class Buffered:
@@ -319,7 +313,8 @@ class MappedFunction:
         self._shared = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
         outputs_of_each = sum(self._each.nnz_out(k) for k in range(self._each.n_out()))
-        self._chunk = min(MAX_CHUNK_POINTS, max(MIN_CHUNK_POINTS, MAX_CHUNK_NUMBERS // max(outputs_of_each, 1)))
+        # Up to 400 000 output numbers are computed at a time: Jacobians then fit the processor's cache.
+        self._chunk = min(MAX_CHUNK_POINTS, max(64, 400_000 // max(outputs_of_each, 1)))
         self._mapped: dict[int, Buffered] = {}
         self.evaluated = self._tried = 0
         self._machine_code: MachineCode | None = None

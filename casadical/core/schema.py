@@ -177,14 +177,12 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
     return f"{key}{given}: {_text(error)}"
 
 
-# Messages of casadical, by the type of pydantic's error.
-_MESSAGES = {"model_type": "must be a table", "dict_type": "must be a table", "string_too_short": "must not be empty"}
-
-
 def _text(error: Any) -> str:
     """Return the message of one of pydantic's errors in the wording of casadical."""
-    if error["type"] in _MESSAGES:
-        return _MESSAGES[error["type"]]
+    if error["type"] in ("model_type", "dict_type"):
+        return "must be a table"
+    if error["type"] == "string_too_short":
+        return "must not be empty"
     limits = {"most": "max_length", "least": "min_length"}
     if error["type"] in ("too_long", "too_short"):
         wanted = next(f"at {w} {error['ctx'][k]}" for w, k in limits.items() if k in error["ctx"])

@@ -137,10 +137,6 @@ def _binary(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
     return Operation(numpy, f"TWO({c}, {{0}}, {{1}})")
 
 
-# Functions of one number that have the same name in CasADi, numpy and C.
-_UNARY_FUNCTIONS = ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh")
-# Functions of two numbers that have the same name in CasADi, numpy and C.
-_BINARY_FUNCTIONS = ("fmin", "fmax", "hypot", "fmod", "copysign")
 # CasADi operations with their counterparts in numpy and C, by name in lower case.
 OPERATIONS = {
     "assign": Operation(lambda a: a, "{0}"),
@@ -152,8 +148,14 @@ OPERATIONS = {
     "sq": Operation(np.square, "{0} * {0}"),
     "twice": Operation(lambda a: 2.0 * a, "2.0 * {0}"),
     "inv": Operation(lambda a: 1.0 / a, "1.0 / {0}"),
-    **{name: _unary(getattr(np, name), name) for name in (*_UNARY_FUNCTIONS, "fabs", "sign", "floor", "ceil")},
-    **{name: _binary(getattr(np, name), name) for name in _BINARY_FUNCTIONS},
+    **{
+        name: _unary(getattr(np, name), name)
+        for name in (
+            *("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh"),
+            *("fabs", "sign", "floor", "ceil"),
+        )
+    },
+    **{name: _binary(getattr(np, name), name) for name in ("fmin", "fmax", "hypot", "fmod", "copysign")},
     "asin": _unary(np.arcsin, "asin"),
     "acos": _unary(np.arccos, "acos"),
     "atan": _unary(np.arctan, "atan"),

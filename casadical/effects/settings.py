@@ -10,8 +10,6 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from casadical.core.basics import InputError
 
-# Configuration with which pydantic validates settings: no conversion of types, finite numbers.
-_STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 # Largest value of an integer setting, and largest number of combinations of settings on grids.
 MAX_SETTING_COUNT = 10_000
 # Value of `grid` that stands for the joints next to the effect's own one (see `Arm.near`).
@@ -85,7 +83,9 @@ def checked_settings(kind: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         if key not in names:
             raise InputError(f"settings.{key}: no setting of {kind.name}; allowed: {', '.join(names) or 'none'}")
         try:
-            checked[key] = TypeAdapter(hints[key], config=_STRICT).validate_json(json.dumps(value, default=str))
+            checked[key] = TypeAdapter(hints[key], config=ConfigDict(strict=True, allow_inf_nan=False)).validate_json(
+                json.dumps(value, default=str)
+            )
         except ValidationError as error:
             wrong = error.errors()[0]["msg"].replace("Input should be", "must be")
             raise InputError(f"settings.{key} = {value!r}: {wrong}") from None

@@ -34,8 +34,8 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
     for omission in omissions:
         line, effects = str(omission), [e for e in robot.effects if e.label == omission.label]
         if not all(e.of_measurement for e in effects):
-            if name := _without_range(robot, effects):
-                line += f"; {_UNKNOWN_LOSS} {name}"
+            if why := _unknown_loss(robot, effects):
+                line += f"; {why}"
             else:
                 parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
                 mean, largest = displacement_without(robot, [f"{omission.label}.{part}" for part in parts])
@@ -64,13 +64,13 @@ def rigid_omissions(robot: Robot) -> tuple[str, ...]:
     names = [*([f"compliance of joints {soft}"] if soft else []), *(e.label for e in robot.effects)]
     if not names:
         return ()
-    unknown = {e.label: name for e in robot.effects if not e.of_measurement and (name := _without_range(robot, [e]))}
+    unknown = {e.label: why for e in robot.effects if not e.of_measurement and (why := _unknown_loss(robot, [e]))}
     mean, largest = distance_from_rigid(robot.with_only(e for e in robot.effects if e.label not in unknown))
     off = (
         f"without them the point is off by {1e3 * mean:.4f} mm on average, {1e3 * largest:.4f} mm at most, by the model"
     )
     lines = [f"{', '.join(n for n in names if n not in unknown)}: {off}"] if len(names) > len(unknown) else []
-    return (*lines, *(f"{label}: {_UNKNOWN_LOSS} {name}" for label, name in unknown.items()))
+    return (*lines, *(f"{label}: {why}" for label, why in unknown.items()))
 
 
 def distance_from_rigid(robot: Robot) -> tuple[float, float]:
@@ -101,18 +101,15 @@ def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
     return {"set": name, "poses": len(mean["model"]), **figures}
 
 
-# Sentence on an effect whose condition has no range in the robot file; its name follows.
-_UNKNOWN_LOSS = "what would be lost is unknown, for the robot file gives no range of"
-
-
-def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
-    """Return the name of the effects' first condition without a range in the robot file, or "".
+def _unknown_loss(robot: Robot, effects: Iterable[Effect]) -> str:
+    """Return a sentence on the effects' first condition without a range in the robot file, or "".
 
     Approach directions, progress and payload need no range; see `_drawn`.
     """
     ranges = robot.knowledge.conditions if robot.knowledge else {}
     names = (name for e in effects for name in e.conditions if name not in ranges)
-    return next((name for name in names if not name.startswith(("approach", "progress", "payload_kg"))), "")
+    missing = [name for name in names if not name.startswith(("approach", "progress", "payload_kg"))]
+    return f"what would be lost is unknown, for the robot file gives no range of {missing[0]}" if missing else ""
 
 
 def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:

@@ -37,8 +37,6 @@ MAX_USUAL_RATIO = 1.2
 FALSE_ALARM_PROBABILITY = 0.01
 # Smallest probability of a possible cause that is listed; the most probable one always is.
 MIN_PROBABILITY_SHOWN = 0.005
-# JSON keys of an entry of `Comparison.seen_from`.
-_DETECTABLE_KEYS = ("cause", "size", "unit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,10 @@ class Comparison(Result):
         Key("sure_from_log_odds", lambda _: np.log(MIN_ODDS_OF_CHANGE), digits=3),
         Key("changes", lambda found: [_as_plain(c, [e.label for e in found.campaigns]) for c in found.changes]),
         Key("placements", lambda found: dict(found.placements)),
-        Key("seen_from", lambda found: [dict(zip(_DETECTABLE_KEYS, row, strict=True)) for row in found.seen_from]),
+        Key(
+            "seen_from",
+            lambda found: [dict(zip(("cause", "size", "unit"), row, strict=True)) for row in found.seen_from],
+        ),
     )
 
     campaigns: tuple[Estimate, ...] = field(metadata=WRITTEN)

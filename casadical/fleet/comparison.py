@@ -24,8 +24,6 @@ from casadical.identification.prior import refuse_another
 from casadical.robot.axes import row_matrix
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 
-# Prior weights of the courses; of each kind of change the weights of its courses are normalised.
-COURSE_WEIGHTS: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
 # Days in a year, the unit of time of a drift [d].
 DAYS_PER_YEAR = 365.25
 # Number of campaigns that count as a year where they have no dates.
@@ -272,15 +270,16 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
     # probability of 0.03 where it did not begin before.
     onset = 0.5 / (since * (since + 1)) + 0.5 * 0.03 * (1 - 0.03) ** (since - 1)
     kinds: list[Course] = ["jump"]
-    if kind in evidence.GRADUAL_KINDS:
+    # All kinds of change may jump; these may drift.
+    if kind in ("joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"):
         kinds.append("drift")
-    if kind in evidence.SEASONAL_KINDS and dated:
+    if kind == "lengths" and dated:
         kinds.append("season")
     if kind == ANOTHER_ROBOT and n > 2:
         kinds.append("once")
-    whole = sum(COURSE_WEIGHTS[c] for c in kinds)
-    for course in kinds:
-        share = COURSE_WEIGHTS[course] / whole
+    weights = [0.6, 0.4, 0.4, 0.4][: len(kinds)]  # a jump is half as probable again as another course
+    for course, weight in zip(kinds, weights, strict=True):
+        share = weight / sum(weights)
         if course == "season":
             yield course, np.array([share]), np.array([1]), evidence.season(times)
         elif course == "once":  # in the last campaign alone it is a jump

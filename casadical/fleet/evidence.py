@@ -57,10 +57,6 @@ ANOTHER_ROBOT = "another_robot"
 # Course of a change over the campaigns: from one on, growing from one on, periodic with a year, or
 # in a single one.
 Course = Literal["jump", "drift", "season", "once"]
-# Kinds of change that may drift; all kinds may jump.
-GRADUAL_KINDS = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
-# Kinds of change that may follow the seasons.
-SEASONAL_KINDS = frozenset({"lengths"})
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,21 +37,18 @@ from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.robot.robot import Robot
 
-# Names of the columns of a store's row that hold text, separated by spaces.
-_TEXT_COLUMNS = (
-    "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
-)
-# Names of the columns of a store's row that hold lists, separated by spaces. Those from `names` to
-# `scale` are as of `shared_columns`; left_mm, left_free and days have one number per campaign.
-_LIST_COLUMNS = "names departure score information spread scale identified left_mm left_free days"
-# All columns of a store's row, each with the value of a robot that was not calibrated.
+# All columns of a store's row, each with the value of a robot that was not calibrated. The lists from
+# `names` to `scale` are as of `shared_columns`; left_mm, left_free and days have one number per
+# campaign.
 EMPTY_ROW: dict[str, Any] = {
-    **dict.fromkeys(_TEXT_COLUMNS.split(), ""),
+    **dict.fromkeys(("robot", "folder", "status", "error", "fingerprint", "written_by", "type", "type_name"), ""),
+    **dict.fromkeys(("method", "at_bounds", "verdict", "causes", "changes", "notes"), ""),
     **dict.fromkeys(("finished", "seconds"), 0.0),
     **dict.fromkeys(("poses", "campaigns"), 0),
     **dict.fromkeys(("before_mm", "after_mm"), float("nan")),
     "details": "{}",
-    **{name: [] for name in _LIST_COLUMNS.split()},
+    **{name: [] for name in ("names", "departure", "score", "information", "spread", "scale", "identified")},
+    **{name: [] for name in ("left_mm", "left_free", "days")},
 }
 
 

@@ -45,8 +45,6 @@ GROWTH_PER_K = 12e-6
 GROWTH_SIGMA_PER_K = 6e-6
 # Column of the logged temperature [degC].
 TEMPERATURE = "temperature_degC"
-# Number of random poses in the learnt joint ranges over which the error of the robot is averaged.
-TASK_POSES = 1000
 # Number of posterior samples of the changes and errors.
 NUMBER_OF_DRAWS = 4000
 # Millimetres per metre.
@@ -404,9 +402,9 @@ class TouchModel:
     def task(self) -> Array:
         """Return the position Jacobian at random poses in the learnt joint ranges, shape (n, 3, p).
 
-        It is in mm per unit of scale; of `TASK_POSES` poses those that the robot can take are used.
+        It is in mm per unit of scale; of 1000 random poses in the learnt ranges those that the robot can take are used.
         """
-        J = residuals_and_jacobian(self.robot, [unmeasured(readings_of(self.robot, TASK_POSES))], self.names)[1]
+        J = residuals_and_jacobian(self.robot, [unmeasured(readings_of(self.robot, 1000))], self.names)[1]
         return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
     @cached_property

@@ -37,8 +37,6 @@ from casadical.robot.robot_file import read_robot, to_toml
 # Smallest probability of an error within the tolerance at which the calibration is reported as
 # valid.
 MIN_PROBABILITY_VALID = 0.99
-# JSON keys of a parameter that moved.
-_MOVED_KEYS = ("name", "value", "std_error", "unit")
 # Columns of the control chart, of which `Touches.rows` returns one row per day.
 _CHART_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
 # Verdict on the calibration: still valid, not decided by these touches, or no longer valid.
@@ -68,7 +66,10 @@ class Touches(Result):
         Key("error", lambda found: np.quantile(found.errors, [0.025, 0.975]), "mm"),
         Key("stated_mm", "model.stated"),
         Key("changes", "outcomes"),
-        Key("moved", lambda found: [dict(zip(_MOVED_KEYS, row, strict=True)) for row in found.moved]),
+        Key(
+            "moved",
+            lambda found: [dict(zip(("name", "value", "std_error", "unit"), row, strict=True)) for row in found.moved],
+        ),
         Key("correction"),
         Key(
             "more_deg_or_mm",

@@ -46,11 +46,6 @@ _DEPARTURE_SIZES = np.geomspace(0.03, 10.0, 18)
 _NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
 # Probability from which arm or camera is reported as wrong (or as right), and a step as sure.
 _CONFIDENCE = 0.9
-# Where the camera is -> what may have moved, by the group of the frame that changed.
-_MOVED = {
-    "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's pedestal"},
-    "to base": {"tool": "the board on the flange", "base": "the camera or the robot's pedestal"},
-}
 
 
 @dataclass(frozen=True)
@@ -327,7 +322,16 @@ class _Model(NamedTuple):
         (group, k), (shift, turn) = places[best], moves[best]
         rows = int(self.m.row[k - 1]), int(self.m.row[k])
         probability = float(1 / (1 + np.exp(-log_odds)))
-        return Moved(_MOVED[self.m.camera][group], *rows, probability, float(shift), float(turn)), group
+        return Moved(
+            {
+                "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's pedestal"},
+                "to base": {"tool": "the board on the flange", "base": "the camera or the robot's pedestal"},
+            }[self.m.camera][group],
+            *rows,
+            probability,
+            float(shift),
+            float(turn),
+        ), group
 
     def whitened(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[Array, Array, Array]:
         """Return whitened residuals (6 n,), columns of frames (6 n, f), of errors (6 n, k + 4).

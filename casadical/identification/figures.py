@@ -24,19 +24,10 @@ FIGURE_OF_UNIT = {
 # Maximum number of residuals (their quantiles), and of poses of a set whose joint variables are
 # drawn, to keep the page small.
 MAX_POINTS_DRAWN = 600
-# Maximum number of correlated pairs that a sentence names.
-MAX_PAIRS_NAMED = 8
 # Caption of the figure of residual quantiles.
 _RESIDUALS_CAPTION = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
-)
-# Caption of the figure of joint variables within their limits.
-_COVERAGE_CAPTION = "Where ticks are missing, the model was not tried. Without limits in the robot file, full turns."
-# Caption of the figure of pairs of correlated parameters.
-_PAIRS_CAPTION = (
-    "Joint 95 % regions of the most correlated parameters, in standard errors. A thin ellipse (red: above 0.95) means "
-    "that the poses determine a combination of both, and neither alone."
 )
 
 
@@ -193,7 +184,15 @@ def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> 
     rows = [f"q{i} [{unit}]" for i, (unit, _) in enumerate(units, 1)]
     x = Axis("from the lower to the upper limit [%]", (-1, 101), ticks=[0, 25, 50, 75, 100])
     title, height = "Readings of each joint within its limits", 120 + 40 * robot.n
-    return Figure("fit/coverage", title, series, x, rows=rows, height=height, caption=_COVERAGE_CAPTION)
+    return Figure(
+        "fit/coverage",
+        title,
+        series,
+        x,
+        rows=rows,
+        height=height,
+        caption="Where ticks are missing, the model was not tried. Without limits in the robot file, full turns.",
+    )
 
 
 def most_correlated(result: Identification) -> tuple[str, ...]:
@@ -238,26 +237,12 @@ def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
         "Correlated parameters",
         series,
         height=110 + 130 * n,
-        caption=_PAIRS_CAPTION,
+        caption="Joint 95 % regions of the most correlated parameters, in standard errors. A thin ellipse "
+        "(red: above 0.95) means that the poses determine a combination of both, and neither alone.",
         marks=notes,
         panels=panels,
         shared="xy",
     )
-
-
-# The warning that follows a large condition number.
-_CONFOUNDED_WARNING = (
-    f" A condition number above {CONFOUNDED_CONDITION_NUMBER} means that some parameters are nearly confounded: "
-    "trust the robot as a "
-    "whole, by its held-out errors, more than each value. Standard errors and correlations tell which; poses spread "
-    "wider (casadical plan) would separate them."
-)
-# The note on the nominal values of base and tool in the table of parameters.
-_PLACED_NOTE = Words(
-    "nominal of base and tool: as first placed on the data (base_* are what is added to that), not as in the robot "
-    "file",
-    "note",
-)
 
 
 def fit_quality(result: Identification) -> Words:
@@ -271,11 +256,13 @@ def fit_quality(result: Identification) -> Words:
     condition = result.identifiability.condition
     if result.noise_is_assumed:
         noise += " (an upper bound: so few poses do not determine it beyond the prior; state sigma_mm in problem.toml)"
-    return Words(
-        f"Residual scatter {noise}; condition number {condition:.0f}; optimum {optimal} by recomputation; "
-        f"{result.degrees_of_freedom} degrees of freedom."
-        + (_CONFOUNDED_WARNING if condition > CONFOUNDED_CONDITION_NUMBER else "")
-    )
+    text = f"Residual scatter {noise}; condition number {condition:.0f}; optimum {optimal} by recomputation; "
+    text += f"{result.degrees_of_freedom} degrees of freedom."
+    if condition > CONFOUNDED_CONDITION_NUMBER:
+        text += f" A condition number above {CONFOUNDED_CONDITION_NUMBER} means that some parameters are nearly "
+        text += "confounded: trust the robot as a whole, by its held-out errors, more than each value. Standard "
+        text += "errors and correlations tell which; poses spread wider (casadical plan) would separate them."
+    return Words(text)
 
 
 def parameter_tables(result: Identification, whole: bool = False) -> list[Table | Words]:
@@ -303,12 +290,15 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     title = f"{'All parameters of' if whole else 'Parameters identified by'} {result.method}"
     table = Table(title, columns, rows, frozenset(range(1, 6)), frozenset(strong), frozenset(faint), folded=whole)
     # Nominal base and tool values then come from a first placement (see `placement.place_frames`).
-    placed = result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
-    summaries = []
+    notes = []
+    if result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements):
+        text = "nominal of base and tool: as first placed on the data (base_* are what is added to that), not as in "
+        notes.append(Words(f"{text}the robot file", "note"))
+    notes += _stiffness_words(result)
     for effect in (e for e in result.start.effects if e.summary):  # too many parameters to be shown
         text = ", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in effect.summary)
-        summaries.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
-    return [table, *([_PLACED_NOTE] if placed else []), *_stiffness_words(result), *summaries]
+        notes.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
+    return [table, *notes]
 
 
 def _stiffness_words(result: Identification) -> list[Words]:
@@ -351,8 +341,8 @@ def unidentifiable_table(result: Identification) -> Table | Words:
 def correlated(result: Identification) -> list[Words]:
     """Return a sentence with the pairs whose absolute correlation exceeds 0.95; [] without any."""
     pairs = _pairs(result, 0.95)
-    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MAX_PAIRS_NAMED])
-    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MAX_PAIRS_NAMED else ""))] if text else []
+    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:8])
+    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > 8 else ""))] if text else []
 
 
 def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:

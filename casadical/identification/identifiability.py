@@ -18,9 +18,6 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.normal_equations import MAX_NUMPY_ROWS, inverse_of_triangle
 from casadical.core.parameters import Parameter
 
-# Largest length of a unit column's residual, after projection on the columns before it, at which it
-# counts as their linear combination.
-MAX_DEPENDENT_RESIDUAL = 1e-6
 # Largest length of a Jacobian column, as a share of the longest one, at which the parameter has no
 # effect on the measurements.
 MAX_INVISIBLE_LENGTH_RATIO = 1e-9
@@ -85,7 +82,7 @@ def analyse(
         norm, residual = _projection_residual(basis[:size], column)
         if name in fixed:
             reasons[k] = fixed[name]
-        elif norm <= MAX_DEPENDENT_RESIDUAL:
+        elif norm <= 1e-6:
             reasons[k] = ""
         else:
             basis[size] = residual / norm

@@ -32,14 +32,8 @@ from casadical.robot.robot import Robot, with_joint_harmonics
 MAX_COMPARED_HARMONIC = 2
 # Highest harmonic of each joint's error in the fit; those not compared only widen the uncertainty.
 MAX_FITTED_HARMONIC = 6
-# Singular values of the Jacobian by the unknown points below this share of the largest one count as
-# zero: the poses do not determine such a direction of the points.
-MIN_SINGULAR_VALUE_RATIO = 1e-9
 # Grid of the ratio of a joint's repeatability [rad] to the noise of a measured coordinate [m].
 REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
-# Residuals and Jacobians are cached for up to this number of poses; those of larger sets are
-# evaluated again in each pass.
-MAX_CACHED_POSES = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,10 +145,11 @@ class WideFit:
         return self._tried[rhos]
 
 
-def wide_fit(found: Identification, max_cached: int = MAX_CACHED_POSES) -> WideFit:
+def wide_fit(found: Identification, max_cached: int = 10_000) -> WideFit:
     """Return the fit of all uncertain parameters and harmonics to an identification's used poses.
 
-    max_cached : maximum number of poses whose residuals and Jacobians are cached
+    max_cached : maximum number of poses whose residuals and Jacobians are cached; those of larger
+        sets are evaluated again in each pass
     Raises InputError for given distances between touched points.
     """
     robot = with_joint_harmonics(found.robot, MAX_FITTED_HARMONIC)
@@ -224,7 +219,9 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     if not U.shape[2]:
         return r, J, 0.0
     Q, seen, _ = np.linalg.svd(U.reshape(-1, U.shape[2]), full_matrices=False)
-    Q, seen = Q[:, seen > MIN_SINGULAR_VALUE_RATIO * seen[0]], seen[seen > MIN_SINGULAR_VALUE_RATIO * seen[0]]
+    # Singular values of the Jacobian by the unknown points below this share of the largest one
+    # count as zero: the poses do not determine such a direction of the points.
+    Q, seen = Q[:, seen > 1e-9 * seen[0]], seen[seen > 1e-9 * seen[0]]
     both = np.concatenate([r[:, :, None], J], axis=2)
     flat = both.reshape(-1, both.shape[2])
     both = (flat - Q @ (Q.T @ flat)).reshape(both.shape)

@@ -192,8 +192,6 @@ MAX_START_POSES = 200
 # Minimum number of measured values from which initial frames are computed, and of poses that
 # determine them without the robot file as prior.
 MIN_START_READINGS = 6
-# Names of the parameters of the tool's position in the flange frame.
-TOOL_POSITION_NAMES = ("tool_x", "tool_y", "tool_z")
 
 
 def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robot:
@@ -295,7 +293,8 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     is no start: there parameters are confounded or without effect that a point off the axis
     distinguishes.
     """
-    names = tuple(robot.parameters.select(TOOL_POSITION_NAMES)) if robot.tool.unknown != "none" else ()
+    position = ("tool_x", "tool_y", "tool_z")
+    names = tuple(robot.parameters.select(position)) if robot.tool.unknown != "none" else ()
     problem = LeastSquares(robot, tuple(sets), names, "huber", False, initial_sigmas(sets))
     if not names or problem.residual_count <= problem.size:
         return robot
@@ -303,7 +302,7 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
         values = problem.values(problem.solve().v)
     except ConvergenceError:
         return robot
-    point = [values.get(name, value) for name, value in zip(TOOL_POSITION_NAMES, robot.tool.T[:3, 3], strict=True)]
+    point = [values.get(name, value) for name, value in zip(position, robot.tool.T[:3, 3], strict=True)]
     return replace(robot, tool=replace(robot.tool, T=frame(robot.tool.T[:3, :3], np.array(point))))
 
 

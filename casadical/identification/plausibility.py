@@ -17,33 +17,17 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
-# Maximum number of parts, consecutive by rows, in which a table is checked for another unit.
-UNIT_CHECK_PARTS = 5
 # Minimum number of poses in a part that is checked for another unit, and for the check whether
 # orientations and positions are in one frame; number of poses in a sample of `gross_errors`.
 MIN_POSES_PER_PART = 6
-# Minimum extent of the computed positions in a part, as a share of the robot's reach, with which
-# the part is checked for another unit.
-MIN_MOVEMENT_OF_REACH = 0.3
 # Maximum median error of orientations [rad], after base and tool are rotated to fit, with which
 # measurements are accepted.
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(10.0)
-# Largest median error of orientations [rad] with the tool's orientation as given, with which that
-# is accepted without a comparison with a rotated tool.
-MAX_GIVEN_TOOL_ERROR_RAD = np.deg2rad(1.0)
 # Maximum ratio of the orientations' error with the tool (or base) as given to that with it rotated
 # to fit, with which the given one is accepted.
 MAX_ORIENTATION_ERROR_RATIO = 3.0
-# Maximum median error of orientations [rad] with the base as positions determine it; above, they
-# are of another frame than the positions.
-MAX_FRAME_ERROR_RAD = np.deg2rad(2.0)
-# Maximum number of poses at which measured and computed orientations are compared.
-MAX_POSES_COMPARED = 200
 # Number of iterations of a fit of frames in which poses with large errors are excluded.
 EXCLUSION_ROUNDS = 3
-# Error of a pose, as a share of the reach, above which it may be a gross error; it must exceed ten
-# times the median error, too.
-MAX_GROSS_ERROR_OF_REACH = 0.02
 # Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
 LIMIT_ALLOWANCE = 2e-3
 # Maximum logged payload as a multiple of the mass of the arm's links.
@@ -153,7 +137,7 @@ def gross_errors(robot: Robot, sets: Sequence[Measurements]) -> tuple[tuple[int,
     Base and tool are placed by random samples of a few poses; the sample with the least median
     error over all poses decides (least median of squares, Rousseeuw 1984), then the poses within
     five times the median. A pose is far off by ten times the median and by
-    `MAX_GROSS_ERROR_OF_REACH`, which no nominal robot reaches. No pose is returned for several
+    2 % of the reach, which no nominal robot reaches. No pose is returned for several
     targets or sessions, a given base, and of sets without positions, with too few poses, or where
     more than 40 % would be far off.
     """
@@ -164,7 +148,7 @@ def gross_errors(robot: Robot, sets: Sequence[Measurements]) -> tuple[tuple[int,
     for k, m in enumerate(sets):
         if m.position is None or len(m) < 2 * MIN_POSES_PER_PART:
             continue
-        limit, rng = MAX_GROSS_ERROR_OF_REACH * robot.reach, np.random.default_rng(0)
+        limit, rng = 0.02 * robot.reach, np.random.default_rng(0)
         e = errors(place_frames(robot, m), m)
         # 60 samples of six hold one without any of 30 % wrong poses with a probability of 99.9 %.
         for _ in range(60 if e.max() > limit else 0):
@@ -186,19 +170,17 @@ def fault_of_orientations(robot: Robot, m: Measurements) -> str:
     if m.orientation is None:
         return ""
     alone = 'kind = "position" in problem.toml takes the positions alone'
-    given = orientation_error(robot, m)
-    free = (
-        orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
-        if given > MAX_GIVEN_TOOL_ERROR_RAD
-        else given
-    )
+    given = free = orientation_error(robot, m)
+    least = np.deg2rad(1.0)  # up to it a tool as given is not compared with a rotated one
+    if given > least:
+        free = orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
     if free > MAX_ORIENTATION_ERROR_RAD:
         return (
             f"the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
             "base and tool are turned: are the angles of another convention, or joints counted the other way? "
             f"casadical check searches for slips; {alone}"
         )
-    if robot.tool.unknown != "pose" and given > max(MAX_GIVEN_TOOL_ERROR_RAD, MAX_ORIENTATION_ERROR_RATIO * free):
+    if robot.tool.unknown != "pose" and given > max(least, MAX_ORIENTATION_ERROR_RATIO * free):
         return (
             f"the orientations are {np.rad2deg(given):.3g} deg (median) from the nominal robot, and would "
             f'be {np.rad2deg(free):.2g} deg with the tool turned: write unknown = "pose" in [tool] of the robot file '
@@ -233,17 +215,18 @@ def frame_error(robot: Robot, m: Measurements) -> float:
     if np.median(length) > 0.02 * robot.reach:
         return 0.0
     off = orientation_error(replace(placed, base=replace(placed.base, unknown="none")), m)
-    return off if off > max(MAX_FRAME_ERROR_RAD, MAX_ORIENTATION_ERROR_RATIO * orientation_error(free, m)) else 0.0
+    # With a median error above 2 deg they are of another frame than the positions.
+    return off if off > max(np.deg2rad(2.0), MAX_ORIENTATION_ERROR_RATIO * orientation_error(free, m)) else 0.0
 
 
 def orientation_error(robot: Robot, m: Measurements) -> float:
     """Return the median angle [rad] between measured and computed orientations over the poses.
 
-    At most MAX_POSES_COMPARED are compared. Base and tool are rotated to fit where their
+    At most 200 poses are compared. Base and tool are rotated to fit where their
     orientation is unknown (`unknown` = "pose").
     """
     assert m.orientation is not None
-    some = m[np.linspace(0, len(m) - 1, min(len(m), MAX_POSES_COMPARED)).astype(int)]
+    some = m[np.linspace(0, len(m) - 1, min(len(m), 200)).astype(int)]
     seen, model = some.orientation, predicted(robot, some)[1]
     assert seen is not None
     base, tool = np.eye(3), np.eye(3)
@@ -274,8 +257,9 @@ def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurement
     """
     by_row = _by_row(some)
     parts, said = [], ""
-    for part in np.array_split(by_row, max(1, min(UNIT_CHECK_PARTS, len(by_row) // MIN_POSES_PER_PART))):
-        if np.linalg.norm(np.ptp(p[part], axis=0)) > MIN_MOVEMENT_OF_REACH * robot.reach:
+    # At most five parts are checked, each where the computed positions extend over 0.3 of the reach.
+    for part in np.array_split(by_row, max(1, min(5, len(by_row) // MIN_POSES_PER_PART))):
+        if np.linalg.norm(np.ptp(p[part], axis=0)) > 0.3 * robot.reach:
             fault = _unit_fault(robot, some, p, part)
             parts += [(some.row[part[0]], some.row[part[-1]])] if fault else []
             said = said or fault

@@ -20,9 +20,6 @@ from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
 
-# Maximum length of a file's name in an axis title [characters]; longer ones are shortened, so that
-# a phone shows them.
-MAX_FILE_NAME_LENGTH = 26
 # Name of a set of poses -> its title in figures.
 SET_TITLES = {
     "report": "Held-out poses",
@@ -188,7 +185,7 @@ def _points(some: PoseErrors, model: ModelErrors, low: float, top: float, size: 
 def _short(source: str) -> str:
     """Return a file's name, shortened to fit on a phone."""
     name = Path(source).name or "the file"
-    return name if len(name) <= MAX_FILE_NAME_LENGTH else f"{name[: MAX_FILE_NAME_LENGTH - 9]}...{name[-6:]}"
+    return name if len(name) <= 26 else f"{name[:17]}...{name[-6:]}"
 
 
 def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:

@@ -13,7 +13,7 @@ Determination (2004), section 6.2.
 A robot may be built ten times better than its priors say, or half as well, which the data reveal:
 all departures of arm parameters from the drawing have the standard deviation of their priors times
 one unknown factor (size), those of base and tool, which a user placed, from the robot file by
-another. A size is log-normal about one (`SIZE_LOG_SIGMAS`), its posterior follows from the
+another. A size is log-normal about one, its posterior follows from the
 likelihood of the data with all parameters integrated out, and S is multiplied by the mean of its
 square: a hierarchical model; Gelman et al., Bayesian Data Analysis (2013), chapter 5. Covariances
 from other campaigns are not scaled.
@@ -123,15 +123,6 @@ def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> A
     return np.stack([bounded_step(g - of[0], H - of[1], *near, some) for of, some in without])
 
 
-# Prior standard deviations of the logarithm of the unknown factor on prior widths ("size"): that of
-# the arm's parameters, and that of base and tool.
-SIZE_LOG_SIGMAS = (1.0, 1.5)
-# Largest factor on prior widths that is evaluated; the smallest one is its inverse.
-MAX_SIZE = 50.0
-# Number of factors on prior widths that are evaluated, in geometric progression.
-SIZE_GRID_POINTS = 61
-
-
 def covariance_of_all(
     problem: LeastSquares, v: Array, variance: float, given: Robot
 ) -> tuple[LeastSquares, Array, Array]:
@@ -190,8 +181,9 @@ def _prior_size_factors(whole: LeastSquares, v: Array, variance: float, given: R
     mean[frames] = [(filed[own[k].name] - own[k].value) / own[k].prior for k in frames]
     # The lower limit of the variance is for data without noise.
     M, c = _data_information(whole, v, max(variance, 1e-12), unit)
-    grid = np.geomspace(1 / MAX_SIZE, MAX_SIZE, SIZE_GRID_POINTS)
-    likely = np.add.outer(*(-0.5 * (np.log(grid) / spread) ** 2 for spread in SIZE_LOG_SIGMAS[::-1]))
+    grid = np.geomspace(1 / 50, 50, 61)
+    # Prior standard deviations of the logarithms of the size of base and tool, and of the arm's.
+    likely = np.add.outer(*(-0.5 * (np.log(grid) / spread) ** 2 for spread in (1.5, 1.0)))
     rest = np.setdiff1d(np.arange(len(v)), arm)
     for k, size in enumerate(grid):
         d = np.ones(len(v))

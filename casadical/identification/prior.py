@@ -288,12 +288,6 @@ SIZE_GRID = np.array([1e-3, *np.geomspace(0.01, 20.0, 68)])
 # Prior probability that the arm does not depart from its drawing; the other sizes are equally
 # probable.
 PRIOR_PROBABILITY_OF_NONE = 0.3
-# Largest share of a prior in the estimate (0 to 1, mean over the eigenvectors of the information)
-# with which the fit without a prior is used.
-MAX_PRIOR_SHARE_OF_ESTIMATE = 0.08
-# Largest prior standard deviation that is used [mm, mrad]; above it, the fit without a prior is
-# used: a prior that wide would constrain nothing.
-MAX_PRIOR_SIZE = 3.0
 
 
 @dataclass(frozen=True)
@@ -303,7 +297,7 @@ class Departure(Shown):
     size : posterior median of s [mm for lengths, mrad for angles]
     low, high : 95 % interval [mm, mrad]
     prior : prior standard deviation of the fit [mm, mrad]; None: the poses determine the geometry,
-        or it would exceed MAX_PRIOR_SIZE, and the fit is free
+        or it would exceed 3 mm or mrad, and the fit is free
     """
 
     line: ClassVar[str] = " {{ it.size | f('.2g') }} mm ({{ it.low | f('.2g') }} to {{ it.high | f('.2g') }})"
@@ -394,7 +388,9 @@ def _posterior(
     noise = float(np.exp(weight.sum(axis=1) @ np.log(sigmas)))
     by_size = (value / (value + (noise / SIZE_GRID[:, None]) ** 2)).sum(axis=1)
     prior = float(np.exp(np.interp(mean, by_size, np.log(SIZE_GRID))))
-    free = mean > (1 - MAX_PRIOR_SHARE_OF_ESTIMATE) * len(value) or prior > MAX_PRIOR_SIZE
+    # The fit without a prior is used where the prior's share in the estimate, the mean over the
+    # eigenvectors of the information, is below 8 %, or where it is so wide that it constrains nothing.
+    free = mean > (1 - 0.08) * len(value) or prior > 3.0
     below = np.cumsum(weight.sum(axis=0))
     low, size, high = (float(SIZE_GRID[np.argmax(below > q)]) for q in (0.025, 0.5, 0.975))
     return Departure(size, low, high, None if free else prior)

@@ -387,7 +387,12 @@ def _with_visible(
     """
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
-        tilts = {u.name for u in found.unidentifiable if u.reason == GAUGE_REASON and u.name in _TILTS}
+        # A tilt of the pedestal also changes the effect of gravity on the joints.
+        tilts = {
+            u.name
+            for u in found.unidentifiable
+            if u.reason == GAUGE_REASON and u.name in ("base_rx", "base_ry", "base_rz")
+        }
     hidden = {u.name for u in found.unidentifiable if u.reason == NO_EFFECT_REASON} | tilts
     if not hidden:
         return None
@@ -438,8 +443,6 @@ def _poorly_determined(
 
 # The reason given for parameters that move the robot as a whole.
 GAUGE_REASON = "nothing at rest was measured: moving the whole robot changes nothing"
-# Names of parameters that tilt the pedestal; this also changes the effect of gravity on the joints.
-_TILTS = ("base_rx", "base_ry", "base_rz")
 # Names of the parameters that move the robot as a whole relative to the measuring frame.
 _WHOLE_ROBOT = (
     "alpha0",

@@ -27,9 +27,6 @@ MIN_POSES_WITH_POSITION = 30
 # Lower limit of the estimated standard deviation of a coordinate's noise [mm], below that of any
 # instrument; simulated poses may have none.
 MIN_COORDINATE_SIGMA_MM = 1e-3
-# Maximum number of poses from which remaining errors are estimated, drawn at random; more would
-# only need more memory.
-MAX_POSES_LEARNT = 20_000
 # Number of iterations of expectation maximisation; prior variances that the poses do not determine
 # are still near their initial values then.
 EM_ITERATIONS = 12
@@ -52,10 +49,10 @@ class UncertainParameters:
     joints: tuple[Array, ...]
 
 
-def learn_remaining(found: Identification, most: int = MAX_POSES_LEARNT) -> RemainingErrors:
+def learn_remaining(found: Identification, most: int = 20_000) -> RemainingErrors:
     """Return the remaining errors of a calibrated robot, from the used poses with positions.
 
-    most : approximate maximum number of poses, drawn at random
+    most : approximate maximum number of poses, drawn at random; more only need more memory
     Raises InputError: fewer than MIN_POSES_WITH_POSITION poses, or error curves were identified.
     """
     sets = [m.positions_alone() for m in found.used if m.position is not None]

@@ -27,10 +27,8 @@ Loss = Literal["linear", "huber", "soft_l1"]
 # Name of a loss, or "auto": huber where that finds outliers, else linear.
 AnyLoss = Literal["auto", Loss]
 
-# Names of all losses of a pose's squared residual.
-LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
-# Names of all losses, and "auto", as an identification accepts them.
-ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", *LOSSES)
+# Names of all losses of a pose's squared residual, and "auto", as an identification accepts them.
+ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", "linear", "huber", "soft_l1")
 # The inputs of the residual function are cached for sets of up to this number of poses; those of
 # larger sets are assembled again at each evaluation.
 MAX_CACHED_DATA_POSES = 100_000

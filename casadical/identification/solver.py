@@ -15,10 +15,6 @@ from casadical.identification.identifiability import scaled_solution
 # Function that is called at each iteration with its number, from 0, and the cost there.
 Progress = Callable[[int, float], None]
 
-# Reduction of the cost (half of chi-squared) over the last SLOW_ITERATIONS below which the solver
-# tests whether it is at the optimum. Convergence is slow along what only priors determine, such as
-# the common scale of estimated masses and compliances.
-MIN_COST_REDUCTION = 1e-3
 # Number of iterations over whose reduction of the cost a search counts as slow.
 SLOW_ITERATIONS = 10
 
@@ -218,10 +214,9 @@ class _Solver:
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
         """Return (1.0,) to stop Ipopt at v, if the search is slow and `settled(v)`; else (0.0,)."""
-        flat = (
-            len(self.history) > SLOW_ITERATIONS
-            and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < MIN_COST_REDUCTION
-        )
+        # Convergence is slow along what only priors determine, such as the common scale of estimated
+        # masses and compliances: with so small a reduction of the cost the optimum is tested.
+        flat = len(self.history) > SLOW_ITERATIONS and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < 1e-3
         return (float(flat and self.settled is not None and self.settled(v)),)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:

@@ -51,9 +51,6 @@ SAME_READING_TOLERANCE = 1e-6
 # Largest difference of each joint's variable [rad or m] between measurements at one pose: of
 # several targets, or repeated (acceptance, daily touches).
 STANDSTILL_TOLERANCE = 5e-4
-# Largest width of a cell of equal readings (`same_readings`), as a multiple of the tolerance, where
-# sorted readings have no gaps.
-MAX_CELL_WIDTH = 20
 
 # Names of the fields of `Measurements` that hold observations.
 FIELDS = ("position", "orientation", "distance", "target", "other", "label")
@@ -342,7 +339,7 @@ def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
 
     q : joint variables, shape (n, joints) [rad or m]
     within : smaller differences are no gaps [rad or m]; where values are so dense that there are
-        no gaps, a cell ends at `MAX_CELL_WIDTH` times this width
+        no gaps, a cell ends at 20 times this width
     """
     cells = np.empty(q.shape, dtype=int)
     for j, column in enumerate(q.T):
@@ -350,7 +347,7 @@ def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
         values = column[order]
         begins = np.diff(values, prepend=values[0]) > within
         first = np.maximum.accumulate(np.where(begins, np.arange(len(values)), 0))
-        piece = np.floor((values - values[first]) / (MAX_CELL_WIDTH * within))
+        piece = np.floor((values - values[first]) / (20 * within))
         cells[order, j] = np.cumsum(begins | (np.diff(piece, prepend=0.0) > 0))
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 

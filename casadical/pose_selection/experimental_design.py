@@ -14,10 +14,6 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Smallest ratio of the information's determinants without and with a pose at which the pose may be
-# removed. Poses below are indispensable; rounding decides how far below, so all count alike.
-MIN_DETERMINANT_RATIO = 1e-6
-
 
 class Design:
     """State of a search: chosen candidates, and the gain of adding or removing each candidate.
@@ -157,8 +153,10 @@ class Design:
         small = np.eye(self.m) + sign * self.D[which]
         if not self.regular:
             signs, logs = np.linalg.slogdet(small)
-            return np.where((signs > 0) & (logs > np.log(MIN_DETERMINANT_RATIO)), logs, -np.inf)
-        regular = np.linalg.det(small) > MIN_DETERMINANT_RATIO
+            # Poses without which the determinant falls below a millionth are indispensable; rounding
+            # decides how far below, so all count alike.
+            return np.where((signs > 0) & (logs > np.log(1e-6)), logs, -np.inf)
+        regular = np.linalg.det(small) > 1e-6
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         return np.where(regular, change, -np.inf)

@@ -18,9 +18,6 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError
 
-# Largest number of poses from which the hyperparameters are estimated; the process itself uses all.
-MAX_POSES_FOR_LENGTHS = 300
-
 
 @dataclass(frozen=True, eq=False)
 class GaussianProcess:
@@ -42,11 +39,11 @@ class GaussianProcess:
     def fit(cls, inputs: Array, targets: Array, steps: int = 120) -> Self:
         """Return the process fitted to inputs, shape (n, d), and targets, shape (n, outputs).
 
-        The hyperparameters are estimated from the first `MAX_POSES_FOR_LENGTHS` poses.
+        The hyperparameters are estimated from the first 300 poses.
 
         steps : number of steps of their maximum-likelihood search from each of two starts
         """
-        few, wanted = inputs[:MAX_POSES_FOR_LENGTHS], targets[:MAX_POSES_FOR_LENGTHS]
+        few, wanted = inputs[:300], targets[:300]
         rms = np.log(np.sqrt(np.mean(wanted**2)) + 1e-12)
         width = inputs.shape[1]
         # Length scales are between 0.1 and 100 half ranges of the joints.

@@ -43,10 +43,8 @@ DARK_BY_LIGHT = dict(COLOURS.values())
 INK_COLOUR = COLOURS["ink"][0]  # titles and labels
 MUTED_COLOUR = COLOURS["muted"][0]  # text of axes and legends
 LINE_COLOUR = COLOURS["line"][0]  # axes and frames
-GRID_COLOUR = COLOURS["grid"][0]  # grid lines
-PAPER_COLOUR = COLOURS["paper"][0]  # background of the figure
 # Settings of plotly that all axes share.
-AXIS_DEFAULTS = {"gridcolor": GRID_COLOUR, "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
+AXIS_DEFAULTS = {"gridcolor": COLOURS["grid"][0], "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
 # Position of the camera when a 3D figure is first shown, in edge lengths of the drawn box.
 CAMERA_EYE = (1.15, 1.3, 0.55)
 # Height reserved for the title of a figure whose panels have titles [px].
@@ -67,15 +65,15 @@ def draw(figure: Figure) -> Picture:
     font = {"family": families, "size": 12.5}
     at_top = {"x": 0, "xref": "container", "y": 1, "yref": "container", "yanchor": "top"}
     title_font = {"size": 15, "color": INK_COLOUR, "weight": 600}
-    label = {"align": "left", "namelength": -1, "bgcolor": PAPER_COLOUR, "bordercolor": LINE_COLOUR}
+    label = {"align": "left", "namelength": -1, "bgcolor": COLOURS["paper"][0], "bordercolor": LINE_COLOUR}
     picture.update_layout(
         template=None,
         height=figure.height,
         dragmode="zoom",
         font=font | {"color": MUTED_COLOUR},
         title={"text": plain(figure.title), **at_top, "pad": {"t": 14}, "font": title_font},
-        paper_bgcolor=PAPER_COLOUR,
-        plot_bgcolor=PAPER_COLOUR,
+        paper_bgcolor=COLOURS["paper"][0],
+        plot_bgcolor=COLOURS["paper"][0],
         margin={"l": 8, "r": figure.right, "t": 48, "b": 8},
         hoverlabel={"font": font | {"color": INK_COLOUR}} | label,
         legend={"orientation": "h"} | at_top | {"y": 0, "yanchor": "bottom"},
@@ -83,7 +81,7 @@ def draw(figure: Figure) -> Picture:
     if any(s.z is not None for s in figure.series):
         # Set up a 3D scene that is rotated with the mouse.
         axis = {
-            "gridcolor": GRID_COLOUR,
+            "gridcolor": COLOURS["grid"][0],
             "zerolinecolor": LINE_COLOUR,
             "showbackground": False,
             "linecolor": LINE_COLOUR,

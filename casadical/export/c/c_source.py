@@ -182,19 +182,6 @@ def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict
 
 # Version number of the exported files' format.
 FILES_SCHEMA = 1
-# Template of the definitions of a command in the header.
-_COMMAND_DEFINES = """
-/* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
-#define @NAME@_DELTA_LIMIT @delta_decimal@
-#define @NAME@_CHANGE_LIMIT @change_decimal@
-"""
-# Template of the description of a command's statuses in the header.
-_COMMAND_STATUSES = """\
- *   RATE_LIMITED   the correction is on its way, as fast as it may change
- *   NOT_CONVERGED  more than @tolerance_mm@ mm remained before the last step; the correction is the best so far
- *   LIMITED        the correction is at its limit, all joints scaled alike
- *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
-"""
 
 
 def c_files(program: TapeProgram) -> dict[str, str]:
@@ -207,8 +194,8 @@ def c_files(program: TapeProgram) -> dict[str, str]:
     parts += [template("command.h")] if command else []
     more = {
         "prototypes": "".join(filled(part, values) for part in parts).rstrip("\n") + "\n",
-        "defines": filled(_COMMAND_DEFINES, values) if command else "",
-        "command_statuses": filled(_COMMAND_STATUSES, values) if command else "",
+        "defines": filled(template("command_defines.h"), values) if command else "",
+        "command_statuses": filled(template("command_statuses.h"), values) if command else "",
         "title": network.title if network and not command else "correction of joint commands",
     }
     return {

@@ -212,14 +212,6 @@ def _stages(
     return tuple(stages)
 
 
-# Caption of the figure of `replay_figure`.
-_FIGURE_CAPTION = (
-    "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. "
-    "Mean over poses that had no part in the values, with a 95 % interval, on a logarithmic axis: "
-    "other poses than those of the gap. Noise alone: as there."
-)
-
-
 def replay_blocks(d: Diagnosis) -> Iterator[Block]:
     """Yield sentences, figure and table of a diagnosis' replay, or a sentence why there is none."""
     try:
@@ -288,7 +280,9 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
         Axis("mean position error [mm]", ends, log=True, ticks=ticks),
         rows=[name.replace(" and ", "\nand ") for name in names],
         height=150 + 40 * len(names),
-        caption=_FIGURE_CAPTION,
+        caption="Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. "
+        "Mean over poses that had no part in the values, with a 95 % interval, on a logarithmic axis: "
+        "other poses than those of the gap. Noise alone: as there.",
         marks=[*notes, Rule("x", noise, "green", width=2, text=f"noise alone {noise:.3f} mm")],
         right=76,
     )

@@ -30,9 +30,6 @@ MIN_READINGS_OF_FIT = 5
 # Maximum number of readings of which each is judged by a refit without it; of more, each is judged
 # by its leave-one-out residual of the common fit. From this number on their mean error is reported.
 MAX_REFITTED_READINGS = 12
-# Number of scalars observed in a reading -> limit of the squared Mahalanobis distance ("surprise")
-# of the reading from its prediction: quantiles of chi-squared that noise exceeds in 1 of 700 000.
-MAX_SURPRISE = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
 # Maximum standard deviation [mm] of the prediction of a reading that is judged, and of the scaled
 # parameters of a base that the readings determine.
 MAX_PREDICTION_SIGMA_MM = 100.0
@@ -54,7 +51,7 @@ class Estimate:
         the reading
     surprise : squared leave-one-out residuals, angles included, in units of their covariance, shape
         (n,); 0 where the others do not predict the reading
-    widened : factor on `MAX_SURPRISE`, as few readings determine the noise badly
+    widened : factor on `limit`, as few readings determine the noise badly
     """
 
     robot: Robot
@@ -74,7 +71,9 @@ class Estimate:
     @property
     def limit(self) -> float:
         """Return the limit of a reading's `surprise`, above which noise does not explain it."""
-        return MAX_SURPRISE[find_kind(self.m.kind).numbers] * self.widened
+        # By the number of scalars observed in a reading, 1 to 6: quantiles of chi-squared that noise
+        # exceeds in 1 of 700 000.
+        return (23.3, 27.0, 30.0, 32.7, 35.2, 37.5)[find_kind(self.m.kind).numbers - 1] * self.widened
 
     def misses(self, m: Measurements) -> tuple[Array, Array]:
         """Return residuals (n, lengths) [m] of other readings from predictions, and surprise (n,).

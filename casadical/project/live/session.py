@@ -45,11 +45,6 @@ from casadical.project.robot_columns import refuse_nameless, with_target_positio
 TABLE_FILE = "measured.csv"
 # Columns of a reading that hold names, not numbers.
 NAME_COLUMNS = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
-# Columns that a table may have in addition to what its kind observes.
-OPTIONAL_COLUMNS = (
-    *("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose"),
-    *NAME_COLUMNS,
-)
 
 
 class LiveSession:
@@ -191,7 +186,8 @@ class LiveSession:
             columns = {
                 re.sub("_(m|rad)$", lambda unit: {"_m": "_mm", "_rad": "_deg"}[unit[0]], c) for c in self._sources
             }
-            further = tuple(c for c in OPTIONAL_COLUMNS if c in columns and c not in kind.fill)
+            numbers = ("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose")
+            further = tuple(c for c in (*numbers, *NAME_COLUMNS) if c in columns and c not in kind.fill)
         return [*self.robot.reading_units, *kind.fill, *further]
 
     def strike(self, number: int, why: str) -> None:

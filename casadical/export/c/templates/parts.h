@@ -1,3 +1,13 @@
+==== command_defines.h
+
+/* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
+#define @NAME@_DELTA_LIMIT @delta_decimal@
+#define @NAME@_CHANGE_LIMIT @change_decimal@
+==== command_statuses.h
+ *   RATE_LIMITED   the correction is on its way, as fast as it may change
+ *   NOT_CONVERGED  more than @tolerance_mm@ mm remained before the last step; the correction is the best so far
+ *   LIMITED        the correction is at its limit, all joints scaled alike
+ *   SINGULAR       the arm can hardly move its tool in some direction; the correction is damped and within its limit
 ==== command.h
 /* What a caller of @name@_step keeps between two cycles. Start from all zeros. */
 typedef struct
