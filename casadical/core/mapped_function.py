@@ -313,7 +313,7 @@ class MappedFunction:
         self._shared = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
         outputs_of_each = sum(self._each.nnz_out(k) for k in range(self._each.n_out()))
-        # Up to 400 000 output numbers are computed at a time: Jacobians then fit the processor's cache.
+        # Up to 400 000 numbers at a time are computed: Jacobians then fit the processor's cache.
         self._chunk = min(MAX_CHUNK_POINTS, max(64, 400_000 // max(outputs_of_each, 1)))
         self._mapped: dict[int, Buffered] = {}
         self.evaluated = self._tried = 0

@@ -109,10 +109,6 @@ COLUMN_NAME = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+
 _POSE_NAME = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 # Pattern of names without number in a formula at "joints"; they stand for each joint's own signal.
 JOINT_NAME = re.compile(r"q|tau|approach|move")
-# Pattern of names in formulas with the number of a joint or link, which is the first group.
-NUMBERED_NAME = re.compile(
-    r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
-)
 # Name in formulas of the sense of the last rotation of an instrument's head about the vertical,
 # -1, 0 (none yet) or 1.
 HEAD_NAME = "head"
@@ -163,7 +159,9 @@ class FormulaEffect(Effect):
         """
         super().refuse_joints(arm)
         for name in (*self.drivers, *self.conditions):
-            numbered = NUMBERED_NAME.fullmatch(name)
+            numbered = re.fullmatch(  # the first group is the number of a joint or link
+                r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?", name
+            )
             if numbered and int(numbered[1]) not in (*arm.numbers, *([0] if name[0] == "m" else [])):
                 text = next(iter(self.formulas.values())).text
                 raise InputError(f"formula {text!r}: {name}; robot {arm.name!r} has joints 1 to {arm.n}")
@@ -329,19 +327,16 @@ _RANGE_BY_NAME = {
     "memory": (-1.0, 1.0),
     HEAD_NAME: (-1.0, 1.0),
 }
-# Lower and upper value [SI], in checks of formulas, of parameters and variables without own range.
-_DEFAULT_RANGE = (-4.0, 4.0)
 
 
 def _range_of(name: str) -> Interval:
     """Return the lower and upper value [SI] of a variable with which formulas are checked."""
+    usual = (-4.0, 4.0)
     if name in MOTION_NAMES and name not in _RANGE_BY_NAME:
-        return _DEFAULT_RANGE
+        return usual
     if re.fullmatch(r"heat\d+_\d+s", name):
-        return 0.0, _DEFAULT_RANGE[1]
-    return _RANGE_BY_NAME.get(
-        "g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), _DEFAULT_RANGE
-    )
+        return 0.0, usual[1]
+    return _RANGE_BY_NAME.get("g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), usual)
 
 
 def is_variable(name: str, seam: str) -> bool:

@@ -31,9 +31,7 @@ COURSE_WORDS: dict[Course, str] = {
 _RESIDUALS_CAPTION = (
     "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 )
-# Largest ratio of a campaign's residual sigma to that of the others that needs no cause.
-MAX_USUAL_RATIO = 1.2
-# Probability that a ratio above MAX_USUAL_RATIO is reported by chance, over all campaigns together.
+# Probability that a ratio above 1.2 is reported by chance, over all campaigns together.
 FALSE_ALARM_PROBABILITY = 0.01
 # Smallest probability of a possible cause that is listed; the most probable one always is.
 MIN_PROBABILITY_SHOWN = 0.005
@@ -278,7 +276,7 @@ class Comparison(Result):
 def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
     """Return the pooled residual of other campaigns if a campaign significantly exceeds it; else 0.
 
-    `exceeds_by_chance` decides whether the ratio exceeds `MAX_USUAL_RATIO`. The result is in the unit of
+    `exceeds_by_chance` decides whether the ratio exceeds 1.2. The result is in the unit of
     `others`; it is 0 without others.
 
     own : residual sigma of a coordinate of the campaign, and its degrees of freedom
@@ -289,7 +287,7 @@ def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, fl
         return 0.0
     sigmas, free = np.array(others).T
     usual = float(np.sqrt(np.average(sigmas**2, weights=free)))
-    return usual if exceeds_by_chance(own, (usual, free.sum()), MAX_USUAL_RATIO) <= alarms else 0.0
+    return usual if exceeds_by_chance(own, (usual, free.sum()), 1.2) <= alarms else 0.0
 
 
 def in_words(found: Comparison, change: Change) -> str:

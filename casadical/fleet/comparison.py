@@ -28,9 +28,6 @@ from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 DAYS_PER_YEAR = 365.25
 # Number of campaigns that count as a year where they have no dates.
 CAMPAIGNS_PER_YEAR = 12.0
-# Smallest displacement of tool or base that is reported as more than noise [standard errors, rms of
-# the coordinates]; noise alone exceeds it in one of a hundred pairs.
-MOVED_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +274,7 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
         kinds.append("season")
     if kind == ANOTHER_ROBOT and n > 2:
         kinds.append("once")
-    weights = [0.6, 0.4, 0.4, 0.4][: len(kinds)]  # a jump is half as probable again as another course
+    weights = [0.6, 0.4, 0.4, 0.4][: len(kinds)]  # a jump is the most probable one
     for course, weight in zip(kinds, weights, strict=True):
         share = weight / sum(weights)
         if course == "season":
@@ -406,6 +403,9 @@ def _placements(
         return b - a, V + W + (B - A) @ fit.covariance @ (B - A).T
 
     own = [n for n in PLACEMENT_PARAMETERS["tool"][:3] if n in before.names and n in after.names and n not in names]
+    # Smallest displacement of tool or base that is reported as more than noise [standard errors,
+    # rms of the coordinates]; noise alone exceeds it in one of a hundred pairs.
+    least = 2.0
     if len(own) == 3 and before.robot.tool_name == after.robot.tool_name:
         apart, cov = between(own)
         scale = np.array([after.robot.parameters[n].scale for n in own])
@@ -416,7 +416,7 @@ def _placements(
         # coordinates) is reported as another tool, or as the same one mounted again.
         if distance > 4.0:
             words = "another tool, or mounted again"
-        elif distance > MOVED_SIGMAS:
+        elif distance > least:
             words = "more than noise alone, too little for another tool"
         else:
             words = "the same point, as far as these poses show"
@@ -434,7 +434,7 @@ def _placements(
         _, cov = between(PLACEMENT_PARAMETERS["base"])
         apart = np.concatenate([T[:3, 3], to_xyz(T[:3, :3])])
         apart = apart / [after.robot.parameters[n].scale for n in PLACEMENT_PARAMETERS["base"]]
-        if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_SIGMAS**2:
+        if apart @ np.linalg.solve(cov, apart) < len(apart) * least**2:
             words = "the same place, as far as these poses show"
     far = f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm and {turn:.3g} deg"
     yield "base", f"{far} from where it stood in the instrument's frame: {words}"

@@ -34,8 +34,6 @@ from casadical.robot.robot import Covariance, Knowledge, Robot
 
 # Smallest number of robots of a type from which their common deviations are estimated.
 MIN_ROBOTS_PER_TYPE = 5
-# Smallest mean deviation of a type's robots that is a fault of its drawing [standard errors].
-MIN_FAULT_SIGMAS = 5.0
 # Smallest standard deviation of a parameter between robots, in units of its scale: a few robots
 # cannot show that a parameter is exactly the same in all. It is the prior standard deviation, too,
 # of parameters that the fleet did not determine.
@@ -82,8 +80,8 @@ class Common:
     @property
     def faults(self) -> tuple[tuple[str, float, float], ...]:
         """Return (name, mean deviation, std error) [scale] of parameters wrong in the drawing."""
-        # A fault also exceeds 0.05 in units of the parameter's scale, for example 1 mm or 1 mrad.
-        far = (np.abs(self.mean) > MIN_FAULT_SIGMAS * self.std_error) & (np.abs(self.mean) > 0.05)
+        # A fault exceeds five standard errors, and 0.05 of the scale, for example 1 mm or 1 mrad.
+        far = (np.abs(self.mean) > 5.0 * self.std_error) & (np.abs(self.mean) > 0.05)
         return tuple((self.names[k], float(self.mean[k]), float(self.std_error[k])) for k in np.flatnonzero(far))
 
     def readable(self, name: str, *values: float) -> tuple[Any, ...]:

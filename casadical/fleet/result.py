@@ -23,8 +23,6 @@ from casadical.robot.robot_file import to_toml
 
 # Largest number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
-# Largest number of robots in the table of all robots on the page.
-MAX_ROWS_ON_PAGE = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,18 +141,16 @@ class Fleet(Result):
         yield Tile("Stand out", str(len(self.outliers)), "", "robots")
 
     def _all(self) -> Table:
-        """Return the table of all robots on the page, at most `MAX_ROWS_ON_PAGE` of them."""
+        """Return the table of all robots on the page, at most 2000 of them."""
         rows = []
-        for r in records(self.robots.head(MAX_ROWS_ON_PAGE)):
+        most = 2000
+        for r in records(self.robots.head(most)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
             # An error message is cut to 60 letters.
             figures = (cut(r["error"], 60), *errors, str(r["poses"]), str(r["campaigns"]))
             rows.append((r["robot"], r["type_name"], r["status"], *figures, _found_in(r), r["changes"]))
         head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
-        title = (
-            f"Mean errors of held-out poses [mm]"
-            f"{f'; the first {MAX_ROWS_ON_PAGE}' if len(self.robots) > MAX_ROWS_ON_PAGE else ''}"
-        )
+        title = f"Mean errors of held-out poses [mm]{f'; the first {most}' if len(self.robots) > most else ''}"
         return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
 
     def prior_files(self, folder: str | Path) -> dict[Path, str]:

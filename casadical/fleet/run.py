@@ -37,8 +37,8 @@ from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.robot.robot import Robot
 
-# All columns of a store's row, each with the value of a robot that was not calibrated. The lists from
-# `names` to `scale` are as of `shared_columns`; left_mm, left_free and days have one number per
+# All columns of a store's row, each with the value of a robot that was not calibrated. The lists
+# from `names` to `scale` are as of `shared_columns`; left_mm, left_free and days have one number per
 # campaign.
 EMPTY_ROW: dict[str, Any] = {
     **dict.fromkeys(("robot", "folder", "status", "error", "fingerprint", "written_by", "type", "type_name"), ""),

@@ -45,8 +45,6 @@ GROWTH_PER_K = 12e-6
 GROWTH_SIGMA_PER_K = 6e-6
 # Column of the logged temperature [degC].
 TEMPERATURE = "temperature_degC"
-# Number of posterior samples of the changes and errors.
-NUMBER_OF_DRAWS = 4000
 # Millimetres per metre.
 MM_PER_M = 1e3
 
@@ -339,7 +337,7 @@ class TouchModel:
                 yield _Hypotheses(c, factors, Z, since, H, b, logs, weight, k)
 
     def drawn(self, seed: int = 0) -> Draws:
-        """Return `NUMBER_OF_DRAWS` posterior samples of the change and the remaining errors.
+        """Return 4000 posterior samples of the change and the remaining errors.
 
         seed : seed of the random generator
         """
@@ -349,9 +347,10 @@ class TouchModel:
         logs = [h.logs + np.log(h.weight)[:, None] - np.log(len(KAPPAS)) for h in every]
         flat = np.concatenate([none, *(own.ravel() for own in logs)])
         p = np.exp(flat - np.logaddexp.reduce(flat))
-        chosen = rng.choice(len(flat), size=NUMBER_OF_DRAWS, p=p / p.sum())
-        label, since = np.full(NUMBER_OF_DRAWS, "", dtype=object), np.zeros(NUMBER_OF_DRAWS, dtype=int)
-        d, extra = np.zeros((NUMBER_OF_DRAWS, len(self.names))), np.zeros(NUMBER_OF_DRAWS)
+        draws = 4000
+        chosen = rng.choice(len(flat), size=draws, p=p / p.sum())
+        label, since = np.full(draws, "", dtype=object), np.zeros(draws, dtype=int)
+        d, extra = np.zeros((draws, len(self.names))), np.zeros(draws)
         x, samplers = np.zeros_like(d), [self._conditional_sampler(k, rng) for k in range(len(none))]
         for k in range(len(none)):
             own = np.flatnonzero(chosen == k)
@@ -402,7 +401,8 @@ class TouchModel:
     def task(self) -> Array:
         """Return the position Jacobian at random poses in the learnt joint ranges, shape (n, 3, p).
 
-        It is in mm per unit of scale; of 1000 random poses in the learnt ranges those that the robot can take are used.
+        It is in mm per unit of scale; of 1000 random poses in the learnt ranges those that the
+        robot can take are used.
         """
         J = residuals_and_jacobian(self.robot, [unmeasured(readings_of(self.robot, 1000))], self.names)[1]
         return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])

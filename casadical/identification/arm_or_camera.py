@@ -40,10 +40,6 @@ _CAUSES: dict[str, tuple[float, tuple[float, ...], str]] = {
     "scale of the board": (0.15, (0.001, 0.003, 0.01), "a calliper on the board"),
     "distortion": (0.15, (0.01, 0.05), "stations with the board in the image's corners"),
 }
-# Prior sigmas of the arm's departures, over which the posterior is averaged [mm, mrad].
-_DEPARTURE_SIZES = np.geomspace(0.03, 10.0, 18)
-# Factors on the sigmas of the noise, over which the posterior is averaged, too.
-_NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
 # Probability from which arm or camera is reported as wrong (or as right), and a step as sure.
 _CONFIDENCE = 0.9
 
@@ -381,21 +377,23 @@ class _Model(NamedTuple):
         G, h, square = rest.T @ rest, rest.T @ y, float(y @ y)
         value, V = np.linalg.eigh(sd[:, :, None] * G * sd[:, None, :])
         value, score = np.maximum(value, 0.0), np.einsum("sij,si->sj", V, sd * h)
+        # Factors on the sigmas of the noise, over which the posterior is averaged, too.
+        factors = np.geomspace(0.75, 1.5, 6)
         log_weight = np.stack(
             [
                 log_prior
                 - 0.5 * np.log1p(value / f**2).sum(axis=1)
                 - count * np.log(f)
                 - 0.5 * (square - (score**2 / (value + f**2)).sum(axis=1)) / f**2
-                for f in _NOISE_FACTORS
+                for f in factors
             ],
             axis=1,
         )
         weight = np.exp(log_weight - log_weight.max())
         rng = np.random.default_rng(0)
         s, f = np.unravel_index(rng.choice(weight.size, 1000, p=weight.ravel() / weight.sum()), weight.shape)
-        root = _NOISE_FACTORS[f, None] / np.sqrt(value[s] + _NOISE_FACTORS[f, None] ** 2)
-        z = score[s] * (root / _NOISE_FACTORS[f, None]) ** 2 + root * rng.normal(size=root.shape)
+        root = factors[f, None] / np.sqrt(value[s] + factors[f, None] ** 2)
+        z = score[s] * (root / factors[f, None]) ** 2 + root * rng.normal(size=root.shape)
         x = sd[s] * np.einsum("sij,sj->si", V[s], z)
         unit, first = sigmas[0] * spread_of_place(self.m.view, noise), slice(6 * len(self.m))
         lengths = unit @ rest[first].reshape(len(self.m), 6, -1)[:, :3]
@@ -438,9 +436,11 @@ def _share(samples: Array, noise: float) -> Share:
 
 def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:
     """Return s combinations of prior widths (s, k + 4), log priors, masks of causes (s, 3)."""
+    # Prior sigmas of the arm's departures, over which the posterior is averaged [mm, mrad].
+    sizes = np.geomspace(0.03, 10.0, 18)
     arms = [
         (0.0, PRIOR_PROBABILITY_OF_NONE),
-        *((size, (1 - PRIOR_PROBABILITY_OF_NONE) / len(_DEPARTURE_SIZES)) for size in _DEPARTURE_SIZES),
+        *((size, (1 - PRIOR_PROBABILITY_OF_NONE) / len(sizes)) for size in sizes),
     ]
     causes = [[(0.0, 1 - p), *((sd, p / len(sds)) for sd in sds)] for p, sds, _ in _CAUSES.values()]
     sd, log_prior, present = [], [], []

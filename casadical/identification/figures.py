@@ -15,12 +15,6 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Unit of a parameter, as tables show it -> name and title of the figure of parameters with it.
-FIGURE_OF_UNIT = {
-    "mm": ("lengths", "Lengths"),
-    "deg": ("angles", "Angles"),
-    "urad/(N m)": ("compliance", "Joint compliance"),
-}
 # Maximum number of residuals (their quantiles), and of poses of a set whose joint variables are
 # drawn, to keep the page small.
 MAX_POINTS_DRAWN = 600
@@ -83,13 +77,19 @@ def parameter_figures(result: Identification) -> Iterator[Figure]:
     """
     table = result.shown
     table = table[table.status.isin(["identified", "at bound"]) & ~table.group.isin(["base", "tool"])]
-    order = list(FIGURE_OF_UNIT)
+    # Unit of a parameter, as tables show it -> name and title of the figure of parameters with it.
+    figure_of_unit = {
+        "mm": ("lengths", "Lengths"),
+        "deg": ("angles", "Angles"),
+        "urad/(N m)": ("compliance", "Joint compliance"),
+    }
+    order = list(figure_of_unit)
     for unit in sorted(
         set(table["unit"]),
-        key=lambda unit: (order.index(unit) if unit in FIGURE_OF_UNIT else len(FIGURE_OF_UNIT), unit),
+        key=lambda unit: (order.index(unit) if unit in figure_of_unit else len(figure_of_unit), unit),
     ):
         rows = table[table["unit"] == unit]
-        name, words = FIGURE_OF_UNIT.get(unit, (unit, f"Parameters in {unit}"))
+        name, words = figure_of_unit.get(unit, (unit, f"Parameters in {unit}"))
         value, low, high = (np.nan_to_num((rows[c] - rows["nominal"]).to_numpy()) for c in ("value", "low", "high"))
         sure = rows["std_error"].notna().to_numpy()
         notes = [

@@ -218,10 +218,6 @@ def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> 
     return replace(prepared, free=(*free, *prepared.free))
 
 
-# Maximum number of poses of each set in the test for undeclared compliance, to save time.
-MAX_POSES_OF_COMPLIANCE_TEST = 1_000
-
-
 def identify(
     robot: Robot,
     measurements: Measurements | Sequence[Measurements],
@@ -312,7 +308,7 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     1e-3. BIC would be stricter with all joints compliant at once, though every arm gives way under
     gravity. Only parameters that the data determine count; the robot's priors constrain both
     models. The outliers of the compliant model are left out of both: large residuals of a rigid
-    model are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST random poses of a set are used.
+    model are no gross errors. At most 1000 random poses of a set are used.
     """
     wider = prepared.compliant
     if wider is None:
@@ -320,12 +316,8 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     from scipy.special import fdtrc
 
     rng = np.random.default_rng(0)
-    sets = tuple(
-        m
-        if len(m) <= MAX_POSES_OF_COMPLIANCE_TEST
-        else m[np.sort(rng.choice(len(m), MAX_POSES_OF_COMPLIANCE_TEST, replace=False))]
-        for m in prepared.sets
-    )
+    most = 1_000  # to save time
+    sets = tuple(m if len(m) <= most else m[np.sort(rng.choice(len(m), most, replace=False))] for m in prepared.sets)
     by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=True, progress=progress)
     try:
         full = by(replace(wider, method=None, sets=sets))

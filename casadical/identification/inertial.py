@@ -18,10 +18,6 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-# Largest factor between logged and computed torques, to either side; beyond, they are probably
-# those of the motors, before the gears, or in another unit.
-MAX_TORQUE_RATIO = 8.0
-
 
 @dataclass(frozen=True, eq=False)
 class States:
@@ -152,14 +148,16 @@ def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
 
 
 def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """Yield a sentence if logged and model torques differ by MAX_TORQUE_RATIO (median ratio)."""
+    """Yield a sentence if logged and model torques differ by a factor of 8 (median ratio)."""
     if log.torque is None:
         return
     model = Dynamics(robot).torque(states.q, states.v, states.a)
     sizes = [np.abs(each).mean(axis=0) for each in (model, states.tau)]
     strong = (sizes[0] > 0.2 * sizes[0].max()) & (sizes[1] > 0)
     ratio = float(np.median(sizes[0][strong] / sizes[1][strong])) if strong.any() else 1.0
-    if not 1 / MAX_TORQUE_RATIO < ratio < MAX_TORQUE_RATIO:
+    # Beyond, they are probably those of the motors, before the gears, or in another unit.
+    most = 8.0
+    if not 1 / most < ratio < most:
         yield (
             f"torques are {1 / ratio:.2g} times the model's: at the motor's side of the gears, "
             "or in another unit, and no ratio is known; "

@@ -28,10 +28,6 @@ MAX_ORIENTATION_ERROR_RAD = np.deg2rad(10.0)
 MAX_ORIENTATION_ERROR_RATIO = 3.0
 # Number of iterations of a fit of frames in which poses with large errors are excluded.
 EXCLUSION_ROUNDS = 3
-# Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
-LIMIT_ALLOWANCE = 2e-3
-# Maximum logged payload as a multiple of the mass of the arm's links.
-MAX_PAYLOAD_OF_ARM_MASS = 10.0
 
 
 def check_against(robot: Robot, *sets: Measurements) -> None:
@@ -49,10 +45,10 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
     for m in sets:
         links = sum(joint.body.mass for joint in robot.joints if joint.body)
         loads = m.conditions.get("payload_kg", np.zeros(1))
-        if links and robot.masses == "declared" and loads.max() > MAX_PAYLOAD_OF_ARM_MASS * links:
+        if links and robot.masses == "declared" and loads.max() > 10.0 * links:
             value = f"{loads.max():.6g} kg"
-            allowed = f"up to {MAX_PAYLOAD_OF_ARM_MASS * links:.6g}, of an arm of {links:.6g} kg"
-            rows = tuple(map(int, m.row[loads > MAX_PAYLOAD_OF_ARM_MASS * links]))
+            allowed = f"up to {10.0 * links:.6g}, of an arm of {links:.6g} kg"
+            rows = tuple(map(int, m.row[loads > 10.0 * links]))
             raise FaultsError(
                 [Fault(m.source, rows, "payload_kg", value, "is too heavy", allowed, "are these grams? give kg")]
             )
@@ -87,17 +83,19 @@ def undefined(robot: Robot, m: Measurements, bad: Array) -> InputError:
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
-    """Yield a fault for each joint and each limit that its variable exceeds by LIMIT_ALLOWANCE.
+    """Yield a fault for each joint and each limit that its variable clearly exceeds.
 
     A fault lists the rows, the farthest first.
     """
+    # Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
+    allowance = 2e-3
     for i, joint in enumerate(robot.joints):
         unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
         q, remedy = m.q[:, i], "correct the reading or the limits in the robot file"
         if joint.kind == "revolute" and np.abs(q).max() > MAX_TURNS * 2 * np.pi:
             remedy = "are these degrees? readings of joints that turn are in rad"
         limits = f"[{joint.lower * factor:.6g}, {joint.upper * factor:.6g}] {unit}"
-        for far in (np.maximum(0, joint.lower - LIMIT_ALLOWANCE - q), np.maximum(0, q - joint.upper - LIMIT_ALLOWANCE)):
+        for far in (np.maximum(0, joint.lower - allowance - q), np.maximum(0, q - joint.upper - allowance)):
             if far.any():
                 order = np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
                 yield Fault(
@@ -257,7 +255,7 @@ def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurement
     """
     by_row = _by_row(some)
     parts, said = [], ""
-    # At most five parts are checked, each where the computed positions extend over 0.3 of the reach.
+    # At most five parts are checked, where the computed positions extend over 0.3 of the reach.
     for part in np.array_split(by_row, max(1, min(5, len(by_row) // MIN_POSES_PER_PART))):
         if np.linalg.norm(np.ptp(p[part], axis=0)) > 0.3 * robot.reach:
             fault = _unit_fault(robot, some, p, part)

@@ -39,18 +39,16 @@ PRIOR_VARIANCE_FACTOR = 1.5
 # Standard deviation of a parameter's change between campaigns, as a share of its scale (of
 # geometry: 1 mm or 1 mrad).
 CHANGE_SIGMA_OF_SCALE = 0.1
-# Prior probability that something has changed between two campaigns.
-PRIOR_PROBABILITY_OF_CHANGE = 0.1
 
 
 def probability_of_change(log_likelihood_ratio: float) -> float:
     """Return the posterior probability that something changed between two campaigns.
 
-    Its prior probability is `PRIOR_PROBABILITY_OF_CHANGE`.
+    Its prior probability is 0.1.
 
     log_likelihood_ratio : natural logarithm of the likelihood ratio of a change against none
     """
-    odds_against = (1 - PRIOR_PROBABILITY_OF_CHANGE) / PRIOR_PROBABILITY_OF_CHANGE
+    odds_against = (1 - 0.1) / 0.1
     return float(1 / (1 + odds_against * np.exp(-np.clip(log_likelihood_ratio, -500, 500))))
 
 
@@ -389,7 +387,7 @@ def _posterior(
     by_size = (value / (value + (noise / SIZE_GRID[:, None]) ** 2)).sum(axis=1)
     prior = float(np.exp(np.interp(mean, by_size, np.log(SIZE_GRID))))
     # The fit without a prior is used where the prior's share in the estimate, the mean over the
-    # eigenvectors of the information, is below 8 %, or where it is so wide that it constrains nothing.
+    # eigenvectors of the information, is below 8 %, or where it is too wide to constrain anything.
     free = mean > (1 - 0.08) * len(value) or prior > 3.0
     below = np.cumsum(weight.sum(axis=0))
     low, size, high = (float(SIZE_GRID[np.argmax(below > q)]) for q in (0.025, 0.5, 0.975))

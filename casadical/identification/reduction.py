@@ -292,8 +292,6 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
 # Standard deviation of a coordinate's residual, as a share of the robot's reach, above which the
 # model is wrong: no measuring error is as large.
 MAX_RESIDUAL_OF_REACH = 0.005
-# Maximum number of parameters that an error message names.
-MAX_NAMES_IN_MESSAGE = 6
 
 
 def reduce_and_solve(
@@ -369,8 +367,8 @@ def reduce_and_solve(
             f"{fixed_frames and fixed_frame_remedy}"
         )
     fixed = (*poor, *analysis.unidentifiable)
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in fixed[:MAX_NAMES_IN_MESSAGE]) + (
-        f"; and {len(fixed) - MAX_NAMES_IN_MESSAGE} more" if len(fixed) > MAX_NAMES_IN_MESSAGE else ""
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in fixed[:6]) + (
+        f"; and {len(fixed) - 6} more" if len(fixed) > 6 else ""
     )
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
@@ -443,16 +441,6 @@ def _poorly_determined(
 
 # The reason given for parameters that move the robot as a whole.
 GAUGE_REASON = "nothing at rest was measured: moving the whole robot changes nothing"
-# Names of the parameters that move the robot as a whole relative to the measuring frame.
-_WHOLE_ROBOT = (
-    "alpha0",
-    "a0",
-    "beta0",
-    "b0",
-    "d1",
-    "theta1",
-    *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
-)
 
 
 def independent_parameters(problem: LeastSquares) -> Identifiability:
@@ -467,8 +455,10 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
     own = [robot.parameters[n] for n in names]
     fixed = {parameter.name: parameter.fixed_reason for parameter in own if parameter.fixed_reason}
+    # Names of the parameters that move the robot as a whole relative to the measuring frame.
+    whole = ("alpha0", "a0", "beta0", "b0", "d1", "theta1", *(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")))
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
-        fixed |= dict.fromkeys(_WHOLE_ROBOT, GAUGE_REASON)
+        fixed |= dict.fromkeys(whole, GAUGE_REASON)
     of_effects = {e.label for e in robot.effects}
     wide = bool(problem.priors) and p > MANY_PARAMETERS  # effects with priors need no test of independence
     asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]

@@ -21,12 +21,6 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.robot import RemainingErrors, Robot, with_joint_harmonics
 
-# Minimum number of poses with a measured position from which remaining errors are estimated; fewer
-# do not show the errors that no parameter explains.
-MIN_POSES_WITH_POSITION = 30
-# Lower limit of the estimated standard deviation of a coordinate's noise [mm], below that of any
-# instrument; simulated poses may have none.
-MIN_COORDINATE_SIGMA_MM = 1e-3
 # Number of iterations of expectation maximisation; prior variances that the poses do not determine
 # are still near their initial values then.
 EM_ITERATIONS = 12
@@ -53,14 +47,13 @@ def learn_remaining(found: Identification, most: int = 20_000) -> RemainingError
     """Return the remaining errors of a calibrated robot, from the used poses with positions.
 
     most : approximate maximum number of poses, drawn at random; more only need more memory
-    Raises InputError: fewer than MIN_POSES_WITH_POSITION poses, or error curves were identified.
+    Raises InputError: fewer than 30 poses, or error curves were identified.
     """
     sets = [m.positions_alone() for m in found.used if m.position is not None]
     poses = sum(map(len, sets))
-    if poses < MIN_POSES_WITH_POSITION:
-        raise InputError(
-            f"the errors that remain need {MIN_POSES_WITH_POSITION} poses with a measured position; there are {poses}"
-        )
+    # Fewer poses do not show the errors that no parameter explains.
+    if poses < 30:
+        raise InputError(f"the errors that remain need 30 poses with a measured position; there are {poses}")
     if poses > most:
         share = most / poses
         sets = [m.split({"some": share})["some"] for m in sets if share * len(m) >= 1]
@@ -124,12 +117,13 @@ def posterior_of(
     parameters' scales, with shapes (k,), (k, k) and (k,). Few poses leave fewer than
     MIN_NOISE_FREEDOM degrees of freedom: the missing ones get the variance of the residuals of the
     identified parameters alone. Otherwise all residuals would be explained, and the poses be taken
-    as exact, down to the limit MIN_COORDINATE_SIGMA_MM.
+    as exact, down to a micrometre.
 
     sums : normal equations of all parameters [mm]; rounds : number of iterations of expectation
         maximisation
     """
-    s2 = max(float(sums.square / sums.count), MIN_COORDINATE_SIGMA_MM**2)
+    least = 1e-3  # noise of a coordinate [mm], below any instrument's; simulated poses may have none
+    s2 = max(float(sums.square / sums.count), least**2)
     alone: float = sums.square / max(1, sums.count - len(doubts.solved))
     variance = doubts.sigma**2
     mean, S = np.zeros(len(variance)), np.zeros((len(variance), len(variance)))
@@ -139,7 +133,7 @@ def posterior_of(
         determined = len(variance) - float(np.sum(np.diag(S) / variance))
         square = float(sums.moved(mean).square)
         missing = max(0.0, MIN_NOISE_FREEDOM - (sums.count - determined))
-        s2 = max((square + missing * alone) / (sums.count - determined + missing), MIN_COORDINATE_SIGMA_MM**2)
+        s2 = max((square + missing * alone) / (sums.count - determined + missing), least**2)
         for joint in doubts.joints:
             variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
     return s2, mean, S, variance

@@ -22,8 +22,6 @@ from casadical.robot.robot import Robot
 
 # Prefix of the columns that state whether a pose belongs to a session: 1 if it does, else 0.
 SESSION_PREFIX = "session_"
-# Minimum number of poses of each session where every one has a base of its own.
-MIN_SESSION_POSES = 6
 
 
 def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
@@ -50,7 +48,7 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
     The labels name groups of parameters that are to be identified. The robot is unchanged where it
     already has such effects, the sets have fewer than two sessions, or sessions share all.
     Raises InputError where a table does not state its session and others do, and for fewer than
-    MIN_SESSION_POSES poses of a session where each has a base of its own.
+    six poses of a session where each has a base of its own.
     """
     labels = tuple(e.label for e in robot.effects if isinstance(e, Session))
     names = sessions_in(sets)
@@ -65,12 +63,13 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
     if len(names) < 2:
         return robot, ()
     rule = robot.sessions
+    least = 6
     for name in names:
         count = sum(int(m.conditions.get(SESSION_PREFIX + name, np.zeros(1)).sum()) for m in sets)
-        if rule.base == "own" and count < MIN_SESSION_POSES:
+        if rule.base == "own" and count < least:
             raise InputError(
                 f"session {name!r} has {count} poses; where its base and tool are cannot be determined from fewer than "
-                f"{MIN_SESSION_POSES}: measure {MIN_SESSION_POSES - count} more in it, or write "
+                f"{least}: measure {least - count} more in it, or write "
                 'base = "shared" in [sessions] of '
                 "problem.toml where nothing was moved"
             )

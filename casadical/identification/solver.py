@@ -15,8 +15,6 @@ from casadical.identification.identifiability import scaled_solution
 # Function that is called at each iteration with its number, from 0, and the cost there.
 Progress = Callable[[int, float], None]
 
-# Number of iterations over whose reduction of the cost a search counts as slow.
-SLOW_ITERATIONS = 10
 
 # Message of an optimum at full accuracy.
 OPTIMUM_MESSAGE = "The solver found an optimum."
@@ -214,9 +212,9 @@ class _Solver:
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
         """Return (1.0,) to stop Ipopt at v, if the search is slow and `settled(v)`; else (0.0,)."""
-        # Convergence is slow along what only priors determine, such as the common scale of estimated
-        # masses and compliances: with so small a reduction of the cost the optimum is tested.
-        flat = len(self.history) > SLOW_ITERATIONS and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < 1e-3
+        # Convergence is slow along what only priors determine, such as the scale of estimated masses
+        # and compliances: with so small a reduction of the cost the optimum is tested.
+        flat = len(self.history) > 10 and self.history[-11] - self.history[-1] < 1e-3
         return (float(flat and self.settled is not None and self.settled(v)),)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:

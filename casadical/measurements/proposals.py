@@ -51,8 +51,6 @@ _ORIENTATION_FORMS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "a matrix, row by row": (tuple(f"R{i}{j}" for i in range(3) for j in range(3)), ""),
     "a matrix, column by column": (tuple(f"R{j}{i}" for i in range(3) for j in range(3)), ""),
 }
-# Forms of an orientation in three numbers.
-_THREE_ANGLE_FORMS = tuple(_ORIENTATION_FORMS)[:4]
 # Headings, casadical's names for them, and their quantity: "angle", "length", or empty for one
 # without a unit.
 _Parts = Sequence[tuple[Sequence[Heading], Sequence[str], str]]
@@ -471,23 +469,21 @@ def _orientation(headings: Sequence[Heading], raw: RawTable, taken: Collection[s
     named = [g for g in numbered(raw, 3, taken) if {*words_of(g[0].name)[0]} & WORDS["rotation"]]
     # Numbers of a rotation matrix's entries, counted from 0 and from 1.
     entries = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
+    forms = tuple(_ORIENTATION_FORMS)[:4]  # forms of an orientation in three numbers
     sure = [
         ([g for g in groups_of(headings, "turn", ("w", *"xyz")) if is_unit(g)], "a quaternion, w first"),
         *(([g for g in groups_of(headings, "matrix", e) if is_rotation(g)], "a matrix, row by row") for e in entries),
-        *(
-            (groups_of(headings, quantity, ROLL_PITCH_YAW), _THREE_ANGLE_FORMS[2])
-            for quantity in ("roll", "abc", "wpr")
-        ),
+        *((groups_of(headings, quantity, ROLL_PITCH_YAW), forms[2]) for quantity in ("roll", "abc", "wpr")),
         ([g for g in [*turns, *named] if g[0].rest & WORDS["vector"]], "a rotation vector"),
     ]
     for groups, way in sure:
         if groups:
             return [(_listed(g), [(g, *_ORIENTATION_FORMS[way])]) for g in groups], which, ""
     unsure = [
-        (turns, _THREE_ANGLE_FORMS[:3]),
+        (turns, forms[:3]),
         (numbered(raw, 4, taken, is_unit), ("a quaternion, w first", "a quaternion, w last")),
         (numbered(raw, 9, taken, is_rotation), ("a matrix, row by row", "a matrix, column by column")),
-        ([] if raw.form.header_line else position_groups(raw), _THREE_ANGLE_FORMS),
+        ([] if raw.form.header_line else position_groups(raw), forms),
     ]
     for groups, ways in unsure:
         if groups := [g for g in groups if not {h.name for h in g} & {*taken}]:

@@ -153,8 +153,8 @@ class Design:
         small = np.eye(self.m) + sign * self.D[which]
         if not self.regular:
             signs, logs = np.linalg.slogdet(small)
-            # Poses without which the determinant falls below a millionth are indispensable; rounding
-            # decides how far below, so all count alike.
+            # Poses without which the determinant falls below a millionth are indispensable; how far
+            # below is rounding, so all count alike.
             return np.where((signs > 0) & (logs > np.log(1e-6)), logs, -np.inf)
         regular = np.linalg.det(small) > 1e-6
         small[~regular] = np.eye(self.m)

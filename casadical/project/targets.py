@@ -28,8 +28,6 @@ from casadical.robot.robot import Robot
 MIN_TARGET_DISTANCE = 5e-3
 # Tolerance within which the distances of one pair of targets at different poses are equal [m].
 DISTANCE_TOLERANCE = 3e-3
-# Minimum number of poses whose repeated readings must show a number of targets.
-MIN_DISAGREEING_POSES = 3
 # Largest number of targets that is searched for: the assignments grow with its factorial.
 MAX_TARGETS = 6
 
@@ -92,10 +90,11 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     poses = _poses(m)
     repeated = sum(len(rows) > 1 for rows, _ in poses)
     apart = [(rows, part) for rows, part in poses if part.max() > 0]
-    if len(apart) < MIN_DISAGREEING_POSES or len(apart) < 0.5 * repeated:
+    least = 3  # minimum number of poses whose repeated readings must show a number of targets
+    if len(apart) < least or len(apart) < 0.5 * repeated:
         return None
     sizes = np.array([1 + part.max() for _, part in apart])
-    often = [k for k in range(2, MAX_TARGETS + 1) if (sizes == k).sum() >= max(MIN_DISAGREEING_POSES, 0.2 * len(apart))]
+    often = [k for k in range(2, MAX_TARGETS + 1) if (sizes == k).sum() >= max(least, 0.2 * len(apart))]
     if not often:
         return None
     count = often[-1]
@@ -104,7 +103,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     lengths = np.array([np.sort(_lengths(p)) for p in seen_at])
     distances = np.median(lengths, axis=0)
     alike = (np.abs(lengths - distances) < DISTANCE_TOLERANCE).all(axis=1)
-    if alike.sum() < max(MIN_DISAGREEING_POSES, 0.7 * len(seen_at)):
+    if alike.sum() < max(least, 0.7 * len(seen_at)):
         return None
     distances = np.median(lengths[alike], axis=0)
     # The vector between the two farthest targets at each pose.
@@ -127,7 +126,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
     # Targets are distinguished only where their scatter in the tool frame is below this share of
     # the smallest distance between them.
-    if len(whole) < 2 * MIN_DISAGREEING_POSES or scatter > 0.25 * targets.distances[0]:
+    if len(whole) < 2 * least or scatter > 0.25 * targets.distances[0]:
         return targets
     which = np.empty(len(m), dtype=np.int64)
     for rows, part in poses:

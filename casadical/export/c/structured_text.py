@@ -24,8 +24,6 @@ from casadical.export.c.tape_program import TapeProgram, operations
 
 # Number of places in the array of values that an operation's results take, if not 1.
 RESULT_PLACES = {"sincos": 2}
-# Names of the tapes in their order; network or curves follow.
-_TAPE_ORDER = ("forward", "prepare", "advance")
 
 
 class Plan:
@@ -147,8 +145,9 @@ class Plan:
 
 
 def _order(key: str) -> int:
-    """Return the position of a tape in `_TAPE_ORDER` by its name, for sorting."""
-    return _TAPE_ORDER.index(key) if key in _TAPE_ORDER else len(_TAPE_ORDER)
+    """Return the position of a tape among all by its name, for sorting."""
+    order = ("forward", "prepare", "advance")  # network or curves follow
+    return order.index(key) if key in order else len(order)
 
 
 def _word(value: float, real: Real) -> str:

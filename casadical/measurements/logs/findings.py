@@ -14,8 +14,6 @@ from casadical.core.parts import Arm
 from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.logs.log import JointLog
 
-# Number of degrees in a radian, the ratio of angles in degrees to the same ones in radians.
-DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
 # Length of a time step from which on it is a gap with lost samples, as a multiple of the median
 # step.
 MIN_GAP_STEPS = 1.5
@@ -296,6 +294,7 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
     """
     # Tolerance beyond a joint's range for readings in a correct unit [rad].
     range_margin_rad = 0.3
+    degrees = float(np.rad2deg(1.0))  # of a radian
     for k, name in enumerate(log.joints):
         if log.kinds[k] != "revolute":
             continue
@@ -317,7 +316,7 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
         small = np.minimum(before, after)
         with np.errstate(invalid="ignore", divide="ignore"):
             ratios = np.maximum(before, after) / small
-        at = np.flatnonzero((small > 0.02) & (np.abs(ratios / DEGREES_PER_RADIAN - 1) < 0.1))
+        at = np.flatnonzero((small > 0.02) & (np.abs(ratios / degrees - 1) < 0.1))
         if len(at):
             row = int(at[0])
             raise InputError(
@@ -330,12 +329,12 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
         if np.isfinite(command).any() and np.nanstd(column) > MIN_MOVEMENT and np.nanstd(command) > MIN_MOVEMENT:
             ratio = float(np.nanstd(command) / np.nanstd(column))
             for factor, words in (
-                (DEGREES_PER_RADIAN, ("commands", "readings")),
-                (1 / DEGREES_PER_RADIAN, ("readings", "commands")),
+                (degrees, ("commands", "readings")),
+                (1 / degrees, ("readings", "commands")),
             ):
                 if abs(ratio / factor - 1) < 0.15:
                     raise InputError(
-                        f"{log.source}: {words[0]} of {name} are {DEGREES_PER_RADIAN:.1f} times "
+                        f"{log.source}: {words[0]} of {name} are {degrees:.1f} times "
                         f"its {words[1]}: degrees called radians; name the columns of the "
                         f"{words[0]} with _deg"
                     )

@@ -35,9 +35,6 @@ from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
-# Minimum number of held-out poses of a budget; with fewer the scatter of the mean square is
-# unknown.
-MIN_HELD_OUT_POSES = 8
 # Number of degrees of freedom that stands for infinitely many.
 INFINITE_FREEDOM = 1e6
 
@@ -209,14 +206,12 @@ def budget_of(
     given : standard uncertainties that the user states [SI]
     repeats : standard deviation [m] and degrees of freedom, as of `repeats_of`
     groups : groups of parameters that are fitted to these poses first, as far as the robot has them
-    Raises InputError: fewer than `MIN_HELD_OUT_POSES` poses, or no positions.
+    Raises InputError: fewer than eight poses, or no positions.
     """
     sets = [m.positions_alone() for m in held_out]
     n = sum(map(len, sets))
-    if n < MIN_HELD_OUT_POSES:
-        raise InputError(
-            f"{n} held-out poses; a statement of uncertainty needs {MIN_HELD_OUT_POSES} or more: [sets] report"
-        )
+    if n < 8:
+        raise InputError(f"{n} held-out poses; a statement of uncertainty needs 8 or more: [sets] report")
     # A tool that is not fitted keeps its place, which `prepare` would else change.
     own_tool = robot if "tool" in groups else replace(robot, tool=replace(robot.tool, unknown="none"))
     prepared = prepare(own_tool, sets)

@@ -71,8 +71,8 @@ class Estimate:
     @property
     def limit(self) -> float:
         """Return the limit of a reading's `surprise`, above which noise does not explain it."""
-        # By the number of scalars observed in a reading, 1 to 6: quantiles of chi-squared that noise
-        # exceeds in 1 of 700 000.
+        # By the number of scalars observed in a reading, 1 to 6: the quantiles of chi-squared that
+        # noise exceeds in 1 of 700 000.
         return (23.3, 27.0, 30.0, 32.7, 35.2, 37.5)[find_kind(self.m.kind).numbers - 1] * self.widened
 
     def misses(self, m: Measurements) -> tuple[Array, Array]:

@@ -101,18 +101,6 @@ vector_m_per_s2 = [0, 0, -9.81]
 """
 
 
-# Line of robot.toml that marks masses as estimates.
-ESTIMATED_MASSES_LINE = """\
-masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
-"""
-# Table of robot.toml with the prior widths of estimated masses; a format string.
-MASS_PRIOR_TABLE = """\
-[width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
-mass_share = {share:g}
-com_mm = {centre:g}
-# compliant = true in a [[joint]]: its deflection under gravity is identified too, by the method SKCM
-"""
-
 # Text of problem.toml of a new folder; a format string.
 _PROBLEM_TEMPLATE = """\
 # What is calibrated, from what. Every key: docs/problem-folder.md.
@@ -304,8 +292,14 @@ def with_masses(text: str, robot: Robot, standard: bool) -> str:
     """
     row_head = "\n[[joint]]\n"
     lines, following = [], [*robot.joints[1:], None]
-    width = MASS_PRIOR_TABLE.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
-    head, *rows = text.replace("\n[base]", f"{ESTIMATED_MASSES_LINE}\n[base]", 1).split(row_head)
+    width = f"""\
+[width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
+mass_share = {robot.body_width.share:g}
+com_mm = {1e3 * robot.body_width.centre:g}
+# compliant = true in a [[joint]]: its deflection under gravity is identified too, by the method SKCM
+"""
+    line = 'masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out\n'
+    head, *rows = text.replace("\n[base]", f"{line}\n[base]", 1).split(row_head)
     for row, joint, after in zip(rows, robot.joints, following, strict=True):
         assert joint.body
         # A standard row ends behind the first half of the next modified one, Rx(alpha) Tx(a).

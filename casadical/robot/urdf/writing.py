@@ -17,8 +17,6 @@ from casadical.robot.urdf.tree import parse_xml
 
 # Largest change of an origin [m, or entry of a rotation matrix] that leaves its text unchanged.
 UNCHANGED_TOLERANCE = 1e-13
-# Name of the link at the measured point in a new file.
-MEASURED_LINK = "measured"
 
 
 def calibrated_urdf_text(
@@ -232,7 +230,8 @@ def new_urdf(robot: Robot) -> str:
     root.append(ET.Comment(_about(robot)))
     ET.SubElement(root, "link", name="base_link")
     parent, names = "base_link", [joint.name for joint in robot.joints]
-    if not all(names) or len(set(names)) < robot.n or f"{MEASURED_LINK}_joint" in names:
+    measured = "measured"  # name of the link at the measured point
+    if not all(names) or len(set(names)) < robot.n or f"{measured}_joint" in names:
         names = [f"joint{i}" for i in robot.numbers]
     for i, row in enumerate(robot.joints, 1):
         link = ET.SubElement(root, "link", name=f"link{i}")
@@ -257,8 +256,8 @@ def new_urdf(robot: Robot) -> str:
             how = {"multiplier": repr(times), "offset": repr(float(row.coupling.at))}
             ET.SubElement(joint, "mimic", {"joint": names[other - 1], **how})
         parent = f"link{i}"
-    ET.SubElement(root, "link", name=MEASURED_LINK)
-    _joint(root, f"{MEASURED_LINK}_joint", "fixed", parent, MEASURED_LINK, robot.tool.T)
+    ET.SubElement(root, "link", name=measured)
+    _joint(root, f"{measured}_joint", "fixed", parent, measured, robot.tool.T)
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
