@@ -14,7 +14,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
-from scipy.linalg import orth
 
 from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Hidden, Plant, campaign, draw_effect, perturb
@@ -25,16 +24,12 @@ from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.prediction import nominal
 from casadical.blind_check.protocol import Kind
 from casadical.blind_check.worker_pool import completed, workers
-from casadical.core.basics import Array, ConvergenceError, InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import load_json
-from casadical.diagnosis.linearisation import signatures
-from casadical.identification.identification import calibrate_base_model, prepare
-from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements
+from casadical.diagnosis.linearisation import base_jacobian, unabsorbed_rms
 from casadical.measurements.reading import from_table
 from casadical.project.problem import read_campaign_robot
-from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
 # Default numbers of measured poses that a campaign may have.
@@ -206,32 +201,6 @@ def record(subject: Subject, plan: Plan) -> Record:
 
     single = [session(each) for each in hidden] if len(hidden) > 1 else []
     return hidden, session(*hidden), session(), single
-
-
-def base_jacobian(robot: Robot, clean: Measurements) -> Array:
-    """Return the base model's Jacobian at the poses of a campaign, shape (n, 3, P) [m per SI unit].
-
-    It is taken at the values of a calibration of the base model on the campaign.
-
-    robot : nominal robot; clean : campaign without effects
-    """
-    fit = calibrate_base_model(prepare(robot, clean))
-    m, _ = derive(clean, robot.conditions, robot.loads)
-    return signatures(robot, (), m, robot.values_of(fit.robot))[1]
-
-
-def unabsorbed_rms(J: Array, shift: Array) -> float:
-    """Return the rms over all coordinates of the part of a shift that the base model cannot absorb.
-
-    J : Jacobian of the base model, shape (n, 3, P), on whose columns the shift is projected
-    shift : displacement of each measured point, shape (n, 3) [m]; the result is in its unit
-    """
-    A = J.reshape(shift.size, -1)
-    # Some columns of the base model are linearly dependent; without a rank threshold they would add
-    # arbitrary directions.
-    Q = orth(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), rcond=1e-9)
-    remaining = shift.ravel() - Q @ (Q.T @ shift.ravel())
-    return float(np.sqrt(np.mean(remaining**2)))
 
 
 # Smallest number of measured poses of a campaign; with fewer a robot is hardly identified.

@@ -96,7 +96,14 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
                 if target.exists():
                     hidden.chmod(stat.S_IMODE(target.stat().st_mode))
             for path, blob in streams.items():
-                _into(path, blob)
+                number = own_stream(path)  # opened again, a file would be written from its beginning
+                sys.stdout.flush()
+                # A pipe that nobody reads is an OSError.
+                flags = os.O_WRONLY | getattr(os, "O_NONBLOCK", 0)
+                handle = os.open(path, flags) if number is None else os.dup(number)
+                with os.fdopen(handle, "wb") as file:
+                    os.set_blocking(handle, True)
+                    file.write(blob)
             for path, hidden in renames.items():
                 if hidden.is_dir():
                     path.rmdir()
@@ -206,17 +213,6 @@ def own_stream(path: Path) -> int | None:
     if not match:
         return None
     return int(match[2]) if match[2] else ("stdin", "stdout", "stderr").index(match[1])
-
-
-def _into(path: Path, blob: bytes) -> None:
-    """Write bytes into a device or a pipe; a pipe that nobody reads is an OSError."""
-    number = own_stream(path)  # opened again, a file would be written from its beginning
-    sys.stdout.flush()
-    flags = os.O_WRONLY | getattr(os, "O_NONBLOCK", 0)
-    handle = os.open(path, flags) if number is None else os.dup(number)
-    with os.fdopen(handle, "wb") as file:
-        os.set_blocking(handle, True)
-        file.write(blob)
 
 
 def _failure(path: Path, error: Exception, written: Sequence[str] = ()) -> InputError:

@@ -22,6 +22,8 @@ from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Directio
 from casadical.diagnosis.formula_cache import Part, plan
 from casadical.diagnosis.seams import POSES_PER_CALL, Seams, over_poses, seams_of
 from casadical.effects import Effect
+from casadical.identification.identification import calibrate_base_model, prepare
+from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
@@ -173,6 +175,34 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     """
     linear = linearise(robot, m, values)
     return linear.columns(effects), linear.J, linear.Jq
+
+
+def base_jacobian(robot: Robot, clean: Measurements) -> Array:
+    """Return the base model's Jacobian at the poses of a campaign, shape (n, 3, P) [m per SI unit].
+
+    It is taken at the values of a calibration of the base model on the campaign.
+
+    robot : nominal robot; clean : campaign without effects
+    """
+    fit = calibrate_base_model(prepare(robot, clean))
+    m, _ = derive(clean, robot.conditions, robot.loads)
+    return signatures(robot, (), m, robot.values_of(fit.robot))[1]
+
+
+def unabsorbed_rms(J: Array, shift: Array) -> float:
+    """Return the rms over all coordinates of the part of a shift that the base model cannot absorb.
+
+    J : Jacobian of the base model, shape (n, 3, P), on whose columns the shift is projected
+    shift : displacement of each measured point, shape (n, 3) [m]; the result is in its unit
+    """
+    from scipy.linalg import orth
+
+    A = J.reshape(shift.size, -1)
+    # Some columns of the base model are linearly dependent; without a rank threshold they would add
+    # arbitrary directions.
+    Q = orth(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), rcond=1e-9)
+    remaining = shift.ravel() - Q @ (Q.T @ shift.ravel())
+    return float(np.sqrt(np.mean(remaining**2)))
 
 
 @dataclass(frozen=True, eq=False)

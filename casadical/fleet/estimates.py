@@ -188,7 +188,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     """
     knowledge = robot.knowledge
     if robot.tool.unknown == "pose":  # positions, as below, do not determine the tool's orientation
-        robot = replace(robot, tool=replace(robot.tool, unknown="position"))
+        robot = robot.with_unknown(tool="position")
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}
     if knowledge is None or geometry.isdisjoint(knowledge.std_errors):
         raise InputError(

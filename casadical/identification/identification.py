@@ -145,7 +145,7 @@ def prepare(
     if (
         tool_turns and oriented is not None and robot.tool.unknown != "none"
     ):  # its orientation starts as measured, and is free
-        robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
+        robot = robot.with_unknown(tool="pose")
         turned = frame(place_frames(robot, oriented).tool.T[:3, :3], robot.tool.T[:3, 3])
         robot = replace(robot, tool=replace(robot.tool, T=turned))
     return Prepared(robot, sets, (*free, *sessions), given, knowledge, method)

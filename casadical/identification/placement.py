@@ -349,8 +349,7 @@ def rigid(robot: Robot) -> Robot:
     It serves to find gross mistakes: deflections are millimetres, mistakes decimetres.
     """
     rigid = tuple(replace(j, compliance=None) for j in robot.joints)
-    base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
-    return replace(robot, joints=rigid, base=base, tool=tool, knowledge=None)
+    return replace(robot.with_unknown(base="pose", tool="position"), joints=rigid, knowledge=None)
 
 
 def median_error(robot: Robot, m: Measurements) -> float:

@@ -171,7 +171,7 @@ def fault_of_orientations(robot: Robot, m: Measurements) -> str:
     given = free = orientation_error(robot, m)
     least = np.deg2rad(1.0)  # up to it a tool as given is not compared with a rotated one
     if given > least:
-        free = orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+        free = orientation_error(robot.with_unknown(tool="pose"), m)
     if free > MAX_ORIENTATION_ERROR_RAD:
         return (
             f"the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
@@ -200,7 +200,7 @@ def frame_error(robot: Robot, m: Measurements) -> float:
     The base is placed by the positions alone. Zero means that positions and orientations are in one
     frame, or that the data do not show the opposite.
     """
-    free = replace(robot, tool=replace(robot.tool, unknown="pose"))
+    free = robot.with_unknown(tool="pose")
     if robot.base.unknown != "pose" or m.position is None or len(m) < MIN_POSES_PER_PART:
         return 0.0
     inliers, placed = np.ones(len(m), dtype=bool), robot
@@ -212,7 +212,7 @@ def frame_error(robot: Robot, m: Measurements) -> float:
     # A model this wrong does not determine the base's orientation.
     if np.median(length) > 0.02 * robot.reach:
         return 0.0
-    off = orientation_error(replace(placed, base=replace(placed.base, unknown="none")), m)
+    off = orientation_error(placed.with_unknown(base="none"), m)
     # With a median error above 2 deg they are of another frame than the positions.
     return off if off > max(np.deg2rad(2.0), MAX_ORIENTATION_ERROR_RATIO * orientation_error(free, m)) else 0.0
 

@@ -308,7 +308,12 @@ def _headings(
             return 0, named[-2], named[-1]
         return 0, named[-1], None
     above = rest[:first]
-    place = max(range(first), key=lambda k: (_names_in(above[k][1]), -k))
+    # Cells of each line that are words, not numbers; none in a row of units.
+    words = [
+        0 if table_form.is_units(cells) else sum(bool(c.strip()) and not table_form.is_number(c) for c in cells)
+        for _, cells in above
+    ]
+    place = max(range(first), key=lambda k: (words[k], -k))
     header, units = above[place], None
     after = place + 1
     if after < first and table_form.is_units(above[after][1]):
@@ -317,12 +322,6 @@ def _headings(
         lines = [cells for _, cells in above[:place] if sum(bool(c.strip()) for c in cells) > 1]
         header = (header[0], _grouped(lines, header[1]))
     return after, header, units
-
-
-def _names_in(cells: Sequence[str]) -> int:
-    """Return how many cells of a line are words, not numbers; 0 for a row of units."""
-    words = sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
-    return 0 if table_form.is_units(cells) else words
 
 
 def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:

@@ -159,7 +159,7 @@ def simulated_stations(robot: Robot, view: View, sigma: float = 1e-3, seed: int 
     from scipy.spatial.transform import Rotation
 
     rng, noise = np.random.default_rng(seed), CameraNoise((1.0, 3.0, 1.0, 0.35), distance=(view[0] + view[1]) / 2)
-    arm = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="pose"))
+    arm = robot.with_unknown(base="pose", tool="pose")
     for middle in draw(robot, 50, Workspace(), rng):
         near = np.clip(middle + rng.normal(0, 0.3, (4_000, robot.n)), *robot.limits)
         q = np.vstack([middle, robot.coupled(near)])

@@ -78,19 +78,6 @@ class Networks:
     trained_on: str
 
 
-@dataclass(frozen=True, eq=False)
-class Material:
-    """Training data of the networks.
-
-    sets : set (identify, train, choose, report) -> joint variables (n, joints) [rad or m] and
-        position residuals of SKCM (n, 3) [mm]
-    lent : sentence on identification poses that serve as train and choose, empty if none do
-    """
-
-    sets: Mapping[str, tuple[Array, Array]]
-    lent: str = ""
-
-
 def train_networks(
     problem: Problem,
     result: Identification,
@@ -115,11 +102,10 @@ def train_networks(
     judged = dict(problem.parts())
     trainers = network_methods()
     methods = tuple(trainers) if methods is None else methods
-    material = training_material(problem, result, seed)
-    if isinstance(material, str):
-        return Networks({m: NetworkResult(m, None, material, {}) for m in methods}, material)
+    sets, words = training_material(problem, result, seed)
+    if not sets:
+        return Networks({m: NetworkResult(m, None, words, {}) for m in methods}, words)
     trained: dict[str, NetworkResult] = {}
-    sets = material.sets
     fit = partial(Compensator.fit, *sets["train"], choose=sets.get("choose"), validate=sets.get("report"), seed=seed)
     chosen = ", judged on choose" if "choose" in sets else ", judged by cross-validation in it"
     for method in methods:
@@ -133,11 +119,17 @@ def train_networks(
         e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in residuals.items()}
         figures = {name: summarise(np.concatenate([e[n] for n in names])) for name, names in error_groups(e).items()}
         trained[method] = NetworkResult(method, network, "", figures)
-    return Networks(trained, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
+    return Networks(trained, words or f"Networks: trained on the set train{chosen}; report was kept from both.")
 
 
-def training_material(problem: Problem, result: Identification, seed: int = 0) -> Material | str:
-    """Return the training data of the networks, or a sentence on why there are none.
+def training_material(
+    problem: Problem, result: Identification, seed: int = 0
+) -> tuple[dict[str, tuple[Array, Array]], str]:
+    """Return the training data of the networks by set, and a sentence on them.
+
+    Each set (identify, train, choose, report) has joint variables, (n, joints) [rad or m], and
+    position residuals of SKCM, (n, 3) [mm]. The sentence says which identification poses serve as
+    train and choose, empty if none do; without any data it says why.
 
     result : identification by SKCM, whose residuals are learnt; seed : of the split of
         identification poses
@@ -145,7 +137,7 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
     sets = {name: parts for name, parts in problem.sets.items() if all(m.position is not None for m in parts)}
     if "identify" not in sets or "report" not in sets:
         kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
-        return (
+        return {}, (
             f"no network: the data are {kinds}, which do not say where the point is; a network "
             "needs measured positions, and a set report to be judged on"
         )
@@ -159,7 +151,7 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         # Without a set to train on, the poses that identified the robot are lent, if there are so
         # many coordinates per parameter that the identification did not fit their noise.
         if readings < 20 * len(result.names) or len(with_positions[0]) < 40:
-            return (
+            return {}, (
                 f"no network: there is no set train, and {readings} readings for "
                 f"{len(result.names)} parameters are too few to learn from what identification "
                 "left of them; name a set train in problem.toml"
@@ -174,4 +166,4 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         )
     q = {name: np.concatenate([m.q for m in parts]) for name, parts in sets.items()}
     residuals = {name: np.concatenate([residual_mm(result.robot, m) for m in parts]) for name, parts in sets.items()}
-    return Material({name: (q[name], residuals[name]) for name in sets}, lent)
+    return {name: (q[name], residuals[name]) for name in sets}, lent

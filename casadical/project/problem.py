@@ -340,7 +340,7 @@ def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -
     said = not file.of_campaigns.endswith(".urdf") or any("unknown" in tool.model_fields_set for tool in tools)
     if said or not any(find_kind(m.kind).angles for m in sets):
         return robot
-    return replace(robot, tool=replace(robot.tool, unknown="pose"))
+    return robot.with_unknown(tool="pose")
 
 
 def read_campaign(

@@ -49,9 +49,10 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
     computed_orientation_tolerance_rad = 2e-5
     with suppress(InputError, np.linalg.LinAlgError):
         m = _measurements_of(raw, robot, {**found.sources, **given})
+        free = robot.with_unknown(tool="pose")
         if m.orientation is not None and (
             frame_error(robot, m)
-            or (_orientation_error(robot, m) < computed_orientation_tolerance_rad and not computed(robot, m))
+            or (orientation_error(free, m) < computed_orientation_tolerance_rad and not computed(robot, m))
         ):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
@@ -95,13 +96,18 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
         with suppress(InputError, np.linalg.LinAlgError):
             m = _measurements_of(raw, robot, sources)
             if m.position is not None and len(m) >= 6:  # 18 numbers for the 9 unknown ones of base and tool
-                turn = 0.0 if m.orientation is None else _orientation_error(robot, m)
+                turn = 0.0 if m.orientation is None else orientation_error(robot.with_unknown(tool="pose"), m)
                 errors[choices], readings[choices] = (placed_by(robot, m)[1], turn), m
                 copied |= {choices} if computed(robot, m, rounded=True) else set()
     order, bound = sorted(errors, key=lambda c: _total(robot, errors[c])), MAX_ORIENTATION_ERROR_RAD
     # Slips are searched for in up to eight interpretations; each takes a second.
     if 0 < len(errors) <= 8 and _total(robot, errors[order[0]]) > bound:
-        errors |= {choices: error for choices, m in readings.items() if (error := _error_without_slips(robot, m))}
+        from casadical.project.check.slips import search_slips
+
+        for choices, m in readings.items():
+            slips = search_slips(robot, m)
+            if slips and slips.explains:
+                errors[choices] = slips.best.error, slips.best.turn
         order = sorted(errors, key=lambda c: _total(robot, errors[c]))
     for k, question in enumerate(questions):
         lengths = [c for c in question.choices if len(question.choices[c]) == 1]
@@ -143,14 +149,6 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
     return found
 
 
-def _error_without_slips(robot: Robot, m: Measurements) -> tuple[float, float] | None:
-    """Return median errors [m, rad] with the slips that explain m undone; None without such."""
-    from casadical.project.check.slips import search_slips
-
-    found = search_slips(robot, m)
-    return (found.best.error, found.best.turn) if found and found.explains else None
-
-
 def _total(robot: Robot, error: tuple[float, float]) -> float:
     """Return the position error divided by the reach, plus the orientation error, dimensionless.
 
@@ -163,11 +161,6 @@ def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source])
     """Return the measurements of a table's complete rows, read with these column sources."""
     columns = with_coupled(Columns.of_file(raw).mapped(sources), robot)
     return of_tool(from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints]), robot)
-
-
-def _orientation_error(robot: Robot, m: Measurements) -> float:
-    """Return the median orientation error [rad] of the nominal robot, its tool rotated to fit."""
-    return orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
 
 
 def computed(robot: Robot, m: Measurements, rounded: bool = False) -> bool:

@@ -74,7 +74,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
 
     reading = CubicSpline(time[order], m.q[order])
     some = m.positions_alone()[np.linspace(0, len(m) - 1, min(len(m), 200)).astype(int)]
-    free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
+    free = robot.with_unknown(base="pose", tool="position")
 
     def misfit(offset: float) -> float:
         """Return the mean square of the smaller four fifths of the errors [m^2]."""
@@ -102,21 +102,14 @@ def of_tool(m: Measurements, robot: Robot, inverted: bool | None = None, camera:
         inverted = camera == "in hand"  # what was seen is the target in the camera
     # With fewer poses it is not judged whether they are inverted.
     if inverted is None and len(m) >= 5:
-        here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
+        free = robot.with_unknown(base="pose", tool="pose")
+        both = (m, m.inverse())
+        # Median orientation error [rad] plus median position error divided by the reach.
+        here, there = (orientation_error(free, poses) + placed_by(robot, poses)[1] / robot.reach for poses in both)
         inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
         undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
         inverted = camera == "in hand" if undecided and camera else inverted
     return m.inverse() if inverted else m
-
-
-def _pose_error(robot: Robot, m: Measurements) -> float:
-    """Return the dimensionless error of poses by a robot with base and tool fitted.
-
-    It is the median orientation error [rad] plus the median position error divided by the reach.
-    """
-    base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
-    turn = orientation_error(replace(robot, base=base, tool=tool), m)
-    return turn + placed_by(robot, m)[1] / robot.reach
 
 
 def _camera_of(m: Measurements, robot: Robot) -> Camera:
@@ -141,11 +134,10 @@ def _camera_of(m: Measurements, robot: Robot) -> Camera:
     # poses the noise is too uncertain.
     if (by_angle and off[far] > np.deg2rad(60.0)) or len(m) < 12:
         return by_angle
-    base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
     # More poses than 80 are not needed.
     some = replace(m, camera="", noise=None)[np.unique(np.linspace(0, len(m) - 1, min(len(m), 80)).astype(int))]
     try:
-        found = identify(replace(robot, base=base, tool=tool), some, method="KM", loss="huber")
+        found = identify(robot.with_unknown(base="pose", tool="pose"), some, method="KM", loss="huber")
         likely = {camera: evidence_of(found, camera) for camera in off}
     except (InputError, ConvergenceError, np.linalg.LinAlgError):
         return by_angle
@@ -159,7 +151,7 @@ def _camera_of(m: Measurements, robot: Robot) -> Camera:
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
     """Return the robot with base and tool position fitted, and its median position error [m]."""
-    free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
+    free = robot.with_unknown(base="pose", tool="position")
     placed = place_frames(free, m.positions_alone())
     return placed, float(np.median(position_errors(placed, m.positions_alone())))
 

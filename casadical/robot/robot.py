@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -407,6 +407,10 @@ class Robot(Shown, Arm):
         knowledge = self.knowledge and self.knowledge.without(gone)
         remaining = None if gone else self.remaining
         return replace(self, effects=chosen, effect_values=values, knowledge=knowledge, remaining=remaining)
+
+    def with_unknown(self, **frames: Literal["none", "position", "pose"]) -> Robot:
+        """Return a robot of whose frames, base or tool, another part is to be identified."""
+        return replace(self, **{name: replace(getattr(self, name), unknown=what) for name, what in frames.items()})
 
     @property
     def rigid(self) -> Robot:

@@ -24,12 +24,12 @@ from campaign_robots import machine
 from foreign_effects import FOREIGN, draw_foreign
 from kept import add_options, rows_of
 
-from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.mujoco_physics import LISTED, Hidden, campaign, draw_effect, perturb
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.discovery import Discovery, laws_of_diagnosis
+from casadical.diagnosis.linearisation import base_jacobian, unabsorbed_rms
 from casadical.measurements.reading import from_table
 
 ROBOTS, POSES, NOISE_MM, SIGNALS = ("kr210", "ur10e"), 100, 0.02, (0.8, 2.5)

@@ -19,7 +19,6 @@ from kept import Row, add_options, rows_of
 from open_world import NOISE_MM, ROBOTS
 from sessions import Session
 
-from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.mujoco_physics import Hidden, draw_effect, measure, perturb
 from casadical.blind_check.mujoco_physics.campaigns import MEASURED_COLUMNS, readings_of
 from casadical.blind_check.mujoco_physics.plant import crank_distance, unfolded
@@ -27,6 +26,7 @@ from casadical.blind_check.scoring import fraction, mean
 from casadical.core.basics import InputError
 from casadical.core.parts import Target
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
+from casadical.diagnosis.linearisation import base_jacobian, unabsorbed_rms
 from casadical.identification.accuracy import errors
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table

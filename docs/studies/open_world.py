@@ -34,12 +34,12 @@ from kept import add_options, rows_of
 from scipy import signal, stats
 from sessions import UNLISTED, Scatter, Session
 
-from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.mujoco_physics import LISTED, perturb
 from casadical.blind_check.mujoco_physics.campaigns import MEASURED_COLUMNS
 from casadical.blind_check.scoring import Estimate, fraction, mean
 from casadical.core.basics import Array, InputError
 from casadical.diagnosis.diagnose import diagnose
+from casadical.diagnosis.linearisation import base_jacobian, unabsorbed_rms
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot

@@ -18,7 +18,7 @@ import numpy as np
 from casadical import Identification, identify, read_problem
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
 from casadical.compensator.trainers.registry import network_methods
-from casadical.project.networks import Material, training_material
+from casadical.project.networks import training_material
 from casadical.project.problem import Problem
 
 ROOT = Path(__file__).parents[2]
@@ -40,15 +40,15 @@ def four_sets(problem: Problem) -> Problem:
 
 
 def row(
-    name: str, material: Material, trainer: Trainer, scale: float | None, layout: Layout | None, note: str = ""
+    name: str, material: dict[str, tuple], trainer: Trainer, scale: float | None, layout: Layout | None, note: str = ""
 ) -> None:
     start = time.process_time()
-    q, residual = material.sets["train"]
+    q, residual = material["train"]
     fit = Compensator.fit(
         q,
         residual,
-        choose=material.sets["choose"],
-        validate=material.sets["report"],
+        choose=material["choose"],
+        validate=material["report"],
         trainer=trainer,
         output_scale_mm=scale,
         layout=layout,
@@ -66,12 +66,11 @@ def row(
 def study(name: str) -> None:
     problem = read_problem(ROOT / "problems" / name)
     result: Identification = identify(problem.robot, problem.sets["identify"], method="SKCM", loss=problem.loss)
-    material = training_material(problem, result, problem.seed)
+    material, words = training_material(problem, result, problem.seed)
     print(f"{name}: SKCM, {sum(map(len, result.measurements))} poses")
-    if isinstance(material, str):
-        print(f"  {material}")
+    print(f"  {words}")
+    if not material:
         return
-    print(f"  {material.lent}")
     small, large = OTHERS[name]
     notes = {
         "LM-NN-SKCM": f"others {small:.3f}",
@@ -84,11 +83,10 @@ def study(name: str) -> None:
         row(f"LM-NN-SKCM, {label}", material, trainer, None, layout, notes.get(label, ""))
     apart = four_sets(problem)
     again = identify(apart.robot, apart.sets["identify"], method="SKCM", loss=apart.loss)
-    strict = training_material(apart, again, apart.seed)
-    assert isinstance(strict, Material)
-    q, residual = strict.sets["train"]
+    strict, _ = training_material(apart, again, apart.seed)
+    q, residual = strict["train"]
     drawn = np.random.default_rng(apart.seed).permutation(len(q))[:1500]
-    used = Material({**strict.sets, "train": (q[drawn], residual[drawn])})
+    used = {**strict, "train": (q[drawn], residual[drawn])}
     row("LM-NN-SKCM, four sets apart", used, LevenbergMarquardt.for_method(), None, None)
 
 

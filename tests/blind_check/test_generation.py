@@ -12,10 +12,11 @@ import pytest
 from checks import ROOT, Here, N
 
 from casadical.blind_check import generation, mujoco_physics
-from casadical.blind_check.generation import campaign_of, draw_plans, make, unabsorbed_rms
+from casadical.blind_check.generation import campaign_of, draw_plans, make
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
 from casadical.core.basics import ConvergenceError, InputError
+from casadical.diagnosis.linearisation import unabsorbed_rms
 from casadical.project.problem import read_campaign_robot
 
 WORDS = (["a", "b", "c", "d"], ["x", "y"])

@@ -16,7 +16,7 @@ from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.figure import Figure
 from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.project.acceptance.budget import Conditions, budget_of, repeats_of
+from casadical.project.acceptance.budget import budget_of, repeats_of
 from casadical.project.acceptance.certificate import certificate
 from casadical.project.acceptance.iso9283 import evaluated_table
 from casadical.project.new import new_problem
@@ -156,7 +156,7 @@ def test_a_robot_is_judged_with_its_own_tool():
     q = np.random.default_rng(1).uniform(*robot.limits, (40, 6))
     m = replace(unmeasured(q), position=predicted(robot, unmeasured(q))[0])
     wrong = robot.with_values({"tool_z": robot.parameters["tool_z"].value + 2e-3})
-    own, fitted = (budget_of(wrong, [m], Conditions(), groups=g) for g in (("base",), ("base", "tool")))
+    own, fitted = (budget_of(wrong, [m], groups=g) for g in (("base",), ("base", "tool")))
     assert own.rms > 1e-3
     assert fitted.rms < 1e-8
 
@@ -171,7 +171,7 @@ def test_repeats_tell_the_scatter_of_a_coordinate():
     assert freedom == 3 * 40 * 9
     assert s == pytest.approx(2e-5, rel=0.05)
     assert repeats_of(robot, [m[::10]]) == (0.0, 0.0)
-    with_repeats = budget_of(robot, [m], Conditions(noise=1.0), (s, freedom), ())
+    with_repeats = budget_of(robot, [m], (s, freedom), (), noise=1.0)
     assert next(line.square for line in with_repeats.lines if line.source == "instrument") == 0.0
 
 
@@ -222,6 +222,6 @@ def test_a_robot_that_was_fitted_again_to_all_poses_is_judged_as_it_was_before(t
     (held_out,) = problem.sets["report"]
     told = calibrated.accuracies["SKCM"]["report"]["calibrated"]
     assert errors(before, held_out).mean() == pytest.approx(told.mean, rel=1e-3)
-    assert found.after.rms == pytest.approx(budget_of(before, [held_out], Conditions()).rms, rel=1e-6)
+    assert found.after.rms == pytest.approx(budget_of(before, [held_out]).rms, rel=1e-6)
     assert "fitted to all 60" in text_of(found.pdf())
     assert len(found.missing) == 6

@@ -14,7 +14,7 @@ from casadical.compensator import load_compensator
 from casadical.compensator.trainers.registry import network_methods
 from casadical.identification import residual_mm
 from casadical.project.calibration_page import training_history
-from casadical.project.networks import Material, train_networks, training_material
+from casadical.project.networks import train_networks, training_material
 
 ROOT = Path(__file__).parents[2]
 
@@ -95,17 +95,15 @@ def test_report_has_no_part_in_any_choice(hh800) -> None:
 @pytest.mark.slow
 def test_a_large_problem_without_a_set_to_train_on_lends_identified_poses(calibrated) -> None:
     problem, result = calibrated("ur10_joints").problem, calibrated("ur10_joints").identification
-    material = training_material(problem, result, 0)
-    assert isinstance(material, Material)
-    assert "lent" in material.lent
-    rows = {name: set(map(tuple, q)) for name, (q, _) in material.sets.items()}
+    material, words = training_material(problem, result, 0)
+    assert "lent" in words
+    rows = {name: set(map(tuple, q)) for name, (q, _) in material.items()}
     assert rows["train"] | rows["choose"] <= rows["identify"]
     assert not rows["train"] & rows["choose"]
     assert not rows["report"] & rows["identify"]
-    assert len(material.sets["train"][0]) <= 1500
-    again = training_material(problem, result, 0)
-    assert isinstance(again, Material)
-    assert np.array_equal(material.sets["train"][0], again.sets["train"][0])
+    assert len(material["train"][0]) <= 1500
+    again, _ = training_material(problem, result, 0)
+    assert np.array_equal(material["train"][0], again["train"][0])
 
 
 @pytest.mark.parametrize(
@@ -127,12 +125,11 @@ def test_where_nothing_can_be_learnt_it_says_why(calibrated, name: str, words: s
 def test_poses_left_out_as_outliers_are_not_lent(calibrated) -> None:
     problem = calibrated("ur10_joints").problem
     result = replace(calibrated("ur10_joints").identification, outliers=tuple((0, i) for i in range(100)))
-    material = training_material(problem, result, 0)
-    assert isinstance(material, Material)
+    material, _ = training_material(problem, result, 0)
     out = set(map(tuple, result.measurements[0].q[:100]))
     kept = set(map(tuple, result.measurements[0].q[100:]))
-    assert not (out - kept) & set(map(tuple, material.sets["train"][0]))
-    assert len(material.sets["train"][0]) + len(material.sets["choose"][0]) == len(result.measurements[0]) - 100
+    assert not (out - kept) & set(map(tuple, material["train"][0]))
+    assert len(material["train"][0]) + len(material["choose"][0]) == len(result.measurements[0]) - 100
 
 
 def test_compensators_are_kept_as_files_that_load(hh800, tmp_path: Path) -> None:

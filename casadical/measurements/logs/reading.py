@@ -319,8 +319,13 @@ def _into_si(
         for k, key in enumerate(keys):
             unit = log.units.get((channel, key), "")
             if not unit and channel in MOTION_CHANNELS and kinds[k] == "revolute":
-                unit = given or _angle_unit(log, channel, keys)
+                unit = given or ""
                 if not given:
+                    # Commanded channels are judged by the commands if these are logged, others by
+                    # the positions.
+                    base = "command" if channel.startswith("command") and "command" in log.channels else "position"
+                    sizes = [np.nanmax(np.abs(log.channels[base][key])) for key in keys if key in log.channels[base]]
+                    unit = "deg" if max(sizes, default=0.0) > FULL_TURN_RAD + 1 else "rad"
                     guessed.setdefault(unit, []).append(f"{channel} {key}")
             if unit == "percent" and channel in MOTION_CHANNELS:
                 values[:, k] = _from_percent(values[:, k], robot, k, channel, log.source)
@@ -345,13 +350,3 @@ def _from_percent(values: Array, robot: Arm | None, k: int, channel: str, source
         return np.asarray(values * half)
     whole = "gripper" in robot.joints[k].name and np.nanmin(values) >= 0
     return np.asarray(lower + values * 2 * half if whole else (lower + upper) / 2 + values * half)
-
-
-def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:
-    """Return the unit of angles: "deg" if any of a joint exceeds 2 pi + 1 in magnitude, else "rad".
-
-    Commanded channels are judged by the commands if these are logged, others by the positions.
-    """
-    base = "command" if channel.startswith("command") and "command" in log.channels else "position"
-    sizes = [np.nanmax(np.abs(log.channels[base][key])) for key in keys if key in log.channels[base]]
-    return "deg" if max(sizes, default=0.0) > FULL_TURN_RAD + 1 else "rad"

@@ -20,7 +20,7 @@ of freedom (Welch and Satterthwaite), which is 2 where they are many.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -37,24 +37,6 @@ from casadical.robot.robot import Knowledge, Robot
 
 # Number of degrees of freedom that stands for infinitely many.
 INFINITE_FREEDOM = 1e6
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Standard uncertainties that the readings do not show; zero: not stated.
-
-    noise : noise of the instrument, of a coordinate [m]
-    scale : relative uncertainty of the instrument's lengths [1]
-    repeatability : repeatability of the robot, of a coordinate [m]; used where the table has no
-        repeated readings
-    growth : relative growth of the robot's lengths over the temperatures in which the result is to
-        hold [1]
-    """
-
-    noise: float = 0.0
-    scale: float = 0.0
-    repeatability: float = 0.0
-    growth: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -195,17 +177,29 @@ def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float
 def budget_of(
     robot: Robot,
     held_out: Sequence[Measurements],
-    given: Conditions,
     repeats: tuple[float, float] = (0.0, 0.0),
     groups: Sequence[str] = ("base",),
+    *,
+    noise: float = 0.0,
+    scale: float = 0.0,
+    repeatability: float = 0.0,
+    growth: float = 0.0,
 ) -> Budget:
     """Return the budget of a robot's rms error E at held-out positions, and of its uncertainty.
 
     robot : robot that is judged
     held_out : measured positions that the calibration has not used
-    given : standard uncertainties that the user states [SI]
     repeats : standard deviation [m] and degrees of freedom, as of `repeats_of`
     groups : groups of parameters that are fitted to these poses first, as far as the robot has them
+
+    Standard uncertainties that the readings do not show; zero: not stated:
+
+    noise : noise of the instrument, of a coordinate [m]
+    scale : relative uncertainty of the instrument's lengths [1]
+    repeatability : repeatability of the robot, of a coordinate [m]; used where the table has no
+        repeated readings
+    growth : relative growth of the robot's lengths over the temperatures in which the result is to
+        hold [1]
     Raises InputError: fewer than eight poses, or no positions.
     """
     sets = [m.positions_alone() for m in held_out]
@@ -213,7 +207,7 @@ def budget_of(
     if n < 8:
         raise InputError(f"{n} held-out poses; a statement of uncertainty needs 8 or more: [sets] report")
     # A tool that is not fitted keeps its place, which `prepare` would else change.
-    own_tool = robot if "tool" in groups else replace(robot, tool=replace(robot.tool, unknown="none"))
+    own_tool = robot if "tool" in groups else robot.with_unknown(tool="none")
     prepared = prepare(own_tool, sets)
     placed, k, t = prepared.robot, 0, 0
     if own := [g for g in groups if g in robot.parameters.groups]:
@@ -225,14 +219,14 @@ def budget_of(
     fit_correction = (3 * n + t) / max(3 * n - k, 1)
     whole, mean = fit_correction * float(np.std(e**2, ddof=1)) / np.sqrt(n), fit_correction * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
-    (s, freedom), noise = repeats, given.noise
+    (s, freedom), own_noise = repeats, noise
     # Degrees of freedom of a stated noise, uncertain by 25 % (JCGM 100:2008, G.4.2).
     stated_noise_freedom = 8.0
     if freedom:  # the scatter of repeats includes the instrument's noise
-        noise = 0.0
+        own_noise = 0.0
     else:
-        s, freedom = given.repeatability, stated_noise_freedom
-    by_noise = [3 * v**2 for v in (noise, s)]
+        s, freedom = repeatability, stated_noise_freedom
+    by_noise = [3 * v**2 for v in (own_noise, s)]
     random = sum(by_noise) / 3
     # The part of the variance of mean(e^2) that is due to noise; the rest is due to the space.
     own_part = (6 * random**2 + 4 * random * max(mean - 3 * random, 0.0)) / n
@@ -240,10 +234,10 @@ def budget_of(
         Contribution(
             "instrument",
             "B",
-            -by_noise[0] + given.scale**2 * spread,
-            float(np.hypot(by_noise[0] * np.sqrt(2 / stated_noise_freedom), np.sqrt(2) * given.scale**2 * spread)),
+            -by_noise[0] + scale**2 * spread,
+            float(np.hypot(by_noise[0] * np.sqrt(2 / stated_noise_freedom), np.sqrt(2) * scale**2 * spread)),
             stated_noise_freedom if by_noise[0] else INFINITE_FREEDOM,
-            given.noise > 0 or given.scale > 0,
+            noise > 0 or scale > 0,
         ),
         Contribution(
             "repeatability",
@@ -255,9 +249,7 @@ def budget_of(
         ),
         Contribution("model", "B", 0.0, _interpolation_uncertainty(robot, sets)),
         Contribution("frames", "A", mean - mean / fit_correction, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
-        Contribution(
-            "temperature", "B", given.growth**2 * spread, np.sqrt(2) * given.growth**2 * spread, stated=given.growth > 0
-        ),
+        Contribution("temperature", "B", growth**2 * spread, np.sqrt(2) * growth**2 * spread, stated=growth > 0),
         Contribution("sampling", "A", 0.0, float(np.sqrt(max(whole**2 - own_part, 0.0))), n - 1.0),
     )
     return Budget(e, lines)

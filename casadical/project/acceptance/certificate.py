@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -26,7 +26,7 @@ from casadical.core.schema import LENGTH, WHOLE_NUMBER, TomlTable, check
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
 from casadical.identification.result import LeftOut, rows_in_words
-from casadical.project.acceptance.budget import Budget, Conditions, budget_of, repeats_of
+from casadical.project.acceptance.budget import Budget, budget_of, repeats_of
 from casadical.project.acceptance.iso9283 import Iso9283
 from casadical.project.acceptance.verification import iso9283 as iso9283_test
 from casadical.project.acceptance.verification import problem_of
@@ -86,8 +86,8 @@ class Details(TomlTable):
     decision: DecisionTable = Field(default_factory=DecisionTable)
 
     @property
-    def stated_uncertainties(self) -> Conditions:
-        """Return the stated standard uncertainties for the budget [SI], zero where not stated.
+    def stated_uncertainties(self) -> dict[str, float]:
+        """Return the stated standard uncertainties by their names in `budget_of` [SI], 0 if not stated.
 
         The temperature range is the half-width of a rectangular distribution. Raises InputError for
         a value of zero or less.
@@ -100,7 +100,8 @@ class Details(TomlTable):
         # Uncertainties in um/m, as a share.
         per_million = 1e-6
         growth = per_million * c.expansion_um_per_m_K * c.range_K / np.sqrt(3)
-        return Conditions(i.noise or 0.0, per_million * i.scale_um_per_m, c.repeatability or 0.0, float(growth))
+        noise, scale = i.noise or 0.0, per_million * i.scale_um_per_m
+        return {"noise": noise, "scale": scale, "repeatability": c.repeatability or 0.0, "growth": float(growth)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,9 +387,9 @@ def certificate(
     for m in sets:
         check_against(calibrated.robot, m)
     every = [m for parts in calibrated.sets.values() for m in parts]
-    budget = partial(budget_of, held_out=sets, given=said.stated_uncertainties, repeats=repeats_of(robot, every))
-    nominal = budget(calibrated.robot, groups=("base", "tool"))
-    own = budget(robot)
+    repeats, stated = repeats_of(robot, every), said.stated_uncertainties
+    nominal = budget_of(calibrated.robot, sets, repeats, ("base", "tool"), **stated)
+    own = budget_of(robot, sets, repeats, ("base",), **stated)
     p = np.concatenate([m.position for m in sets if m.position is not None])
     T = robot.base.T
     iso = iso9283_test(place, [iso9283]) if iso9283 else None
