@@ -167,17 +167,13 @@ def train_all(
         raise InputError(f"every must be at least 1 step; got {every}")
     done: list[Training] = []
     for number, task in enumerate(tasks, 1):
-        run = trainer.begin(task, seed)
         history: list[tuple[int, float]] = []
-        while len(done) < number:
-            for _ in range(every):
-                if run.reasons():
-                    break
-                run.step()
-            weights = run.best()
-            history.append((run.steps, float(task.losses(weights[None])[0])))
-            if reasons := run.reasons():
-                done.append(Training(weights, history[-1][1], run.steps, reasons, run.note(), tuple(history)))
+        for steps, weights, reasons, note in trainer.states(task, seed):
+            if not reasons and (steps == 0 or steps % every):
+                continue
+            history.append((steps, float(task.losses(weights[None])[0])))
+            if reasons:
+                done.append(Training(weights, history[-1][1], steps, reasons, note, tuple(history)))
             if progress is not None:
                 progress(Progress(number, len(tasks), *history[-1]))
     return done

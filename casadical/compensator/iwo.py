@@ -8,7 +8,7 @@ paper as printed. Eqs. 15-16 divide by zero if all members are equally fit; here
 counts as a best one. It trains a network alone, or with refinement.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import isfinite
 from typing import ClassVar, Literal
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from casadical.compensator.network import Task
-from casadical.compensator.trainers.base import Trainer
-from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
+from casadical.compensator.trainers.base import State, Trainer
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt
 from casadical.core.basics import Array, InputError
 
 
@@ -287,40 +287,17 @@ class Iwo(Trainer):
         if self.precision not in ("double", "single"):
             raise InputError(f"precision is 'double' or 'single'; got {self.precision!r}")
 
-    def begin(self, task: Task, seed: int) -> "IwoRun":
-        """Return a search over all weights, with no generation done."""
-        return IwoRun(self, task, InvasiveWeeds(task.layout.count, self.settings, seed=seed))
-
-
-class IwoRun:
-    """One search; a step is one generation."""
-
-    def __init__(self, trainer: Iwo, task: Task, search: InvasiveWeeds):
-        self.search = search
-        self._dtype = np.float32 if trainer.precision == "single" else np.float64
-        inputs, targets = task.inputs.astype(self._dtype), task.targets.astype(self._dtype)
-        self._task = Task(task.layout, inputs, targets, task.scale_mm, task.loss)
-
-    @property
-    def steps(self) -> int:
-        """Return the number of generations done, the first colony included."""
-        return self.search.iteration + 1
-
-    def step(self) -> None:
-        """Evaluate the next generation and select its members."""
-        self.search.tell(self._task.losses(self.search.ask().astype(self._dtype, copy=False)))
-
-    def reasons(self) -> tuple[str, ...]:
-        """Return why the search is over; empty as long as it continues."""
-        return self.search.stop()
-
-    def best(self) -> Array:
-        """Return the weights of the best member so far, shape (count,)."""
-        return self.search.result().x
-
-    def note(self) -> str:
-        """Return an empty text: nothing is chosen here."""
-        return ""
+    def states(self, task: Task, seed: int) -> Iterator[State]:
+        """Yield the state of a search over all weights after each generation."""
+        search = InvasiveWeeds(task.layout.count, self.settings, seed=seed)
+        kind = np.float32 if self.precision == "single" else np.float64
+        compared = Task(task.layout, task.inputs.astype(kind), task.targets.astype(kind), task.scale_mm, task.loss)
+        reasons: tuple[str, ...] = ()
+        while not reasons:
+            search.tell(compared.losses(search.ask().astype(kind, copy=False)))
+            reasons = search.stop()
+            # The first colony is a generation, too.
+            yield State(search.iteration + 1, search.members[0].copy(), reasons)
 
 
 @dataclass(frozen=True)
@@ -336,37 +313,11 @@ class IwoThenLm(Trainer):
     iwo: Iwo = field(default_factory=Iwo)
     lm: LevenbergMarquardt = field(default_factory=LevenbergMarquardt)
 
-    def begin(self, task: Task, seed: int) -> "IwoThenLmRun":
-        """Return a training that begins with the invasive weed optimisation, with no step done."""
-        return IwoThenLmRun(self, task, seed, self.iwo.begin(task, seed))
-
-
-class IwoThenLmRun:
-    """One training; a step is a step of the current part."""
-
-    def __init__(self, trainer: IwoThenLm, task: Task, seed: int, run: IwoRun | LmRun):
-        self.trainer, self.task, self.seed, self.run, self.done = trainer, task, seed, run, 0
-
-    @property
-    def steps(self) -> int:
-        """Return the number of steps done in both parts."""
-        return self.done + self.run.steps
-
-    def step(self) -> None:
-        """Do a step of the current part; Levenberg-Marquardt follows the search."""
-        self.run.step()
-        if isinstance(self.run, IwoRun) and self.run.reasons():
-            self.done, start = self.run.steps, self.run.best()
-            self.run = self.trainer.lm.begin(self.task, self.seed, starts=start[None])
-
-    def reasons(self) -> tuple[str, ...]:
-        """Return why the training is over; empty as long as the second part continues."""
-        return () if isinstance(self.run, IwoRun) else self.run.reasons()
-
-    def best(self) -> Array:
-        """Return the best weights of the current part, shape (count,)."""
-        return self.run.best()
-
-    def note(self) -> str:
-        """Return what the current part chose, in words."""
-        return self.run.note()
+    def states(self, task: Task, seed: int) -> Iterator[State]:
+        """Yield the states of the search, and in place of its last one those of the second part."""
+        for state in self.iwo.states(task, seed):
+            if state.reasons:
+                break
+            yield state
+        for further in self.lm.states(task, seed, starts=state.weights[None]):
+            yield further._replace(steps=state.steps + further.steps)

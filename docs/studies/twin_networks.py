@@ -146,11 +146,8 @@ def print_local_minima() -> None:
 
 def _end(task, weights: np.ndarray | None, seed: int) -> tuple[float, float]:
     """Return root mean square errors [mm] of weights (or of a random start) and of the optimum below them."""
-    run = PLAIN_LM.begin(task, seed, starts=None if weights is None else weights[None])
-    first = run.best()
-    while not run.reasons():
-        run.step()
-    return tuple(float(np.sqrt(task.losses(w[None])[0])) for w in (first, run.best()))  # type: ignore[return-value]
+    first, *_, last = PLAIN_LM.states(task, seed, starts=None if weights is None else weights[None])
+    return tuple(float(np.sqrt(task.losses(s.weights[None])[0])) for s in (first, last))  # type: ignore[return-value]
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from scipy.optimize._numdiff import approx_derivative
 from casadical.compensator import (
     Backprop,
     Compensator,
+    InvasiveWeeds,
     Iwo,
     IwoSettings,
     IwoThenLm,
@@ -23,7 +24,6 @@ from casadical.compensator import (
     train,
 )
 from casadical.compensator.compensator import train_all
-from casadical.compensator.iwo import IwoRun
 from casadical.compensator.network import Loss, Task, forward, random_weights, training_masks
 from casadical.compensator.saving import checksummed
 from casadical.compensator.trainers.levenberg_marquardt import descent
@@ -70,9 +70,9 @@ def test_losses_are_in_square_millimetres_whatever_the_scale():
 
 @pytest.mark.parametrize(("precision", "kind"), [("double", np.float64), ("single", np.float32)])
 def test_a_colony_is_compared_in_the_precision_that_is_asked(precision, kind, monkeypatch):
-    run, compared = Iwo(IwoSettings(iterations=2), precision=precision).begin(small_task(), 0), []
-    monkeypatch.setattr(run.search, "tell", lambda losses: compared.append(losses.dtype))
-    run.step()
+    tell, compared = InvasiveWeeds.tell, []
+    monkeypatch.setattr(InvasiveWeeds, "tell", lambda own, x: (compared.append(x.dtype), tell(own, x)))
+    next(Iwo(IwoSettings(iterations=2), precision=precision).states(small_task(), 0))
     assert compared == [kind]
 
 
@@ -171,13 +171,11 @@ def test_iwo_lm_final_part_starts_from_the_iwo_optimum():
 
 def test_backprop_descends_nearly_to_the_bottom_of_its_basin():
     task = dataclasses.replace(small_task(hidden=(2,)), loss=Loss(1.0, 0.0))
-    run = Backprop(steps=6000).begin(task, 0)
-    first = run.loss
-    while not run.reasons():
-        run.step()
-    assert run.best_loss < 0.5 * first
-    scipy_run = minimize(lambda w: task.losses(w[None])[0], run.best(), method="BFGS")
-    assert task.losses(run.best()[None])[0] < 1.5 * scipy_run.fun
+    first, *_, last = Backprop(steps=6000).states(task, 0)
+    start, end = (task.losses(state.weights[None])[0] for state in (first, last))
+    assert end < 0.5 * start
+    scipy_run = minimize(lambda w: task.losses(w[None])[0], last.weights, method="BFGS")
+    assert end < 1.5 * scipy_run.fun
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -234,19 +232,14 @@ def test_a_problem_without_an_error_is_left_at_once() -> None:
 
 
 def test_the_second_trainer_waits_for_the_first() -> None:
-    run = IwoThenLm(Iwo(IwoSettings(iterations=3)), LevenbergMarquardt(iterations=2, ridges=(0.0,))).begin(
-        small_task(), 0
-    )
-    parts = []
-    for _ in range(20):
-        if run.reasons():
-            break
-        run.step()
-        parts.append("iwo" if isinstance(run.run, IwoRun) else "lm")
-    first = parts.index("lm")
+    iwo, lm = Iwo(IwoSettings(iterations=3)), LevenbergMarquardt(iterations=2, ridges=(0.0,))
+    states, alone = [*IwoThenLm(iwo, lm).states(small_task(), 0)], [*iwo.states(small_task(), 0)]
+    first = len(alone) - 1
     assert first >= 2  # generations: the last one starts the second
-    assert set(parts[first:]) == {"lm"}
-    assert len(parts) < 20
+    assert all((one.weights == other.weights).all() for one, other in zip(states, alone, strict=False))
+    second = lm.states(small_task(), 0, starts=alone[-1].weights[None])
+    assert [s.steps - len(alone) for s in states[first:]] == [s.steps for s in second]
+    assert len(states) < 20
 
 
 def test_a_network_that_corrects_nothing_of_no_error_is_read(tmp_path: Path) -> None:

@@ -1,31 +1,27 @@
-"""Interface of a trainer: settings that start a training, which runs step by step."""
+"""Interface of a trainer: settings of a training, which yields its state after each step."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar, NamedTuple, Self
 
 from casadical.compensator.network import Task
 from casadical.core.basics import Array
 
 
-class Run(Protocol):
-    """A training in progress."""
+class State(NamedTuple):
+    """A training between two steps.
 
-    @property
-    def steps(self) -> int:
-        """Return the number of steps done."""
+    steps : number of steps done
+    weights : best weights so far, shape (count,), in the order of `Layout`
+    reasons : why the training is over, as text; empty as long as it should continue
+    note : in words what the trainer chose by itself, once it is over; empty if nothing
+    """
 
-    def step(self) -> None:
-        """Do the next step."""
-
-    def reasons(self) -> tuple[str, ...]:
-        """Return why the training is over, as text; empty as long as it should continue."""
-
-    def best(self) -> Array:
-        """Return the best weights so far, shape (count,), in the order of `Layout`."""
-
-    def note(self) -> str:
-        """Return in words what the trainer chose by itself; empty if nothing."""
+    steps: int
+    weights: Array
+    reasons: tuple[str, ...] = ()
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -46,10 +42,9 @@ class Trainer(ABC):
     >>> trainer.name
     'lm'
     >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
-    >>> run = trainer.begin(task, seed=0)
-    >>> run.step()
-    >>> run.steps
-    1
+    >>> first, second, *_ = trainer.states(task, seed=0)
+    >>> first.steps, second.steps
+    (0, 1)
     """
 
     name: ClassVar[str]
@@ -62,5 +57,8 @@ class Trainer(ABC):
         return cls()
 
     @abstractmethod
-    def begin(self, task: Task, seed: int) -> Run:
-        """Return a training with no step done; seed : seed of all its random numbers."""
+    def states(self, task: Task, seed: int) -> Iterator[State]:
+        """Yield the state of a training after each step until it is over.
+
+        seed : seed of all its random numbers
+        """

@@ -8,14 +8,15 @@ Levenberg-Marquardt then fits the network to the process's mean at the measured 
 random ones in their box.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
 
 import numpy as np
 
 from casadical.compensator.network import Task
-from casadical.compensator.trainers.base import Trainer
-from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
+from casadical.compensator.trainers.base import State, Trainer
+from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt
 from casadical.core.basics import Array, InputError
 
 
@@ -136,15 +137,8 @@ class Taught(Trainer):
         if self.lessons < 10:
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
 
-    def begin(self, task: Task, seed: int) -> LmRun:
-        """Return a training on predictions of the process fitted to the task, with no step done."""
-        lessons, note = self._lessons(task, seed)
-        run = self.lm.begin(lessons, seed)
-        run.chosen = note
-        return run
-
-    def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
-        """Return the task of learning a fitted process's mean, and its length scales in words."""
+    def states(self, task: Task, seed: int) -> Iterator[State]:
+        """Yield the states of a training on predictions of the process fitted to the task."""
         if task.layout.periodic:
             raise InputError("the trainer 'taught' takes no periodic inputs; take 'lm', or a layout without them")
         inputs, ones = task.inputs[:-1].T, task.inputs[-1]
@@ -156,4 +150,4 @@ class Taught(Trainer):
         lengths = ", ".join(f"{v:.2g}" for v in process.lengths)
         note = f"taught by a Gaussian process, lengths {lengths} half ranges"
         inputs = np.vstack([rows.T, np.full(len(rows), ones[0])])
-        return Task(task.layout, inputs, taught, task.scale_mm, task.loss), note
+        yield from self.lm.states(Task(task.layout, inputs, taught, task.scale_mm, task.loss), seed, note=note)

@@ -24,7 +24,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from casadical.compensator.network import Task, forward, gradient, outputs_and_jacobian, random_weights, training_masks
-from casadical.compensator.trainers.base import Trainer
+from casadical.compensator.trainers.base import State, Trainer
 from casadical.core.basics import Array, InputError
 from casadical.core.levenberg_marquardt import Descent, Evaluated, levenberg_marquardt
 
@@ -53,62 +53,37 @@ class Backprop(Trainer):
     slower: float = 0.7
     tolerance: float = 0.04
 
-    def begin(self, task: Task, seed: int) -> "BackpropRun":
-        """Return a gradient descent from random weights, with no step done."""
-        weights = random_weights(task.layout, np.random.default_rng(seed), 1)
-        return BackpropRun(self, task, weights)
+    def states(self, task: Task, seed: int) -> Iterator[State]:
+        """Yield the state before and after each gradient step with momentum, from random weights.
 
-
-class BackpropRun:
-    """One descent; a step is one gradient step."""
-
-    def __init__(self, trainer: Backprop, task: Task, weights: Array):
-        self.trainer, self.task = trainer, task
-        self.weights, self.velocity = weights, np.zeros_like(weights)
-        self.rate, self.steps = trainer.rate, 0
-        self.loss, self.slope = self._value_and_slope(weights)
-        self.best_weights, self.best_loss = weights, self.loss
-
-    def _value_and_slope(self, weights: Array) -> tuple[float, Array]:
-        """Return the task's `Loss` in squared units of the outputs, and its gradient, (1, count).
-
-        weights : shape (1, count)
+        A step that would raise the loss beyond the tolerance is not done. The learning rate grows
+        after a step that lowers the loss, and shrinks after a refused one.
         """
-        task = self.task
-        errors = np.asarray(forward(task.layout, weights, task.inputs) - task.targets, dtype=np.float64)
-        slope = gradient(task.layout, weights, task.inputs, task.loss.slope(errors))
-        return float(task.loss.value(errors)[0]), slope
 
-    def step(self) -> None:
-        """Do one gradient step with momentum, or none if it would raise the loss beyond a tolerance.
+        def value_and_slope(weights: Array) -> tuple[float, Array]:
+            """Return the task's loss in squared units of the outputs, and its gradient, (1, p)."""
+            errors = np.asarray(forward(task.layout, weights, task.inputs) - task.targets, dtype=np.float64)
+            slope = gradient(task.layout, weights, task.inputs, task.loss.slope(errors))
+            return float(task.loss.value(errors)[0]), slope
 
-        The learning rate grows after a step that lowers the loss, and shrinks after a refused one.
-        """
-        t = self.trainer
-        velocity = t.momentum * self.velocity - (1 - t.momentum) * self.rate * self.slope
-        weights = self.weights + velocity
-        loss, slope = self._value_and_slope(weights)
-        if loss > (1 + t.tolerance) * self.loss or not np.isfinite(loss):
-            self.rate *= t.slower
-            self.velocity = np.zeros_like(velocity)
-        else:
-            self.rate *= t.faster if loss < self.loss else 1.0
-            self.weights, self.velocity, self.loss, self.slope = weights, velocity, loss, slope
-        if self.loss < self.best_loss:
-            self.best_weights, self.best_loss = self.weights, self.loss
-        self.steps += 1
-
-    def reasons(self) -> tuple[str, ...]:
-        """Return why the descent is over; empty as long as it continues."""
-        return (f"steps: all {self.trainer.steps} gradient steps done",) if self.steps >= self.trainer.steps else ()
-
-    def best(self) -> Array:
-        """Return the weights of the lowest loss so far, shape (count,)."""
-        return np.asarray(self.best_weights[0], dtype=np.float64)
-
-    def note(self) -> str:
-        """Return an empty text: nothing is chosen here."""
-        return ""
+        weights = best = random_weights(task.layout, np.random.default_rng(seed), 1)
+        velocity, rate = np.zeros_like(weights), self.rate
+        loss, slope = value_and_slope(weights)
+        least = loss
+        for steps in range(self.steps):
+            yield State(steps, np.asarray(best[0], dtype=np.float64))
+            faster = self.momentum * velocity - (1 - self.momentum) * rate * slope
+            new_loss, new_slope = value_and_slope(weights + faster)
+            if new_loss > (1 + self.tolerance) * loss or not np.isfinite(new_loss):
+                rate *= self.slower
+                velocity = np.zeros_like(velocity)
+            else:
+                rate *= self.faster if new_loss < loss else 1.0
+                weights, velocity, loss, slope = weights + faster, faster, new_loss, new_slope
+            if loss < least:
+                best, least = weights, loss
+        reasons = (f"steps: all {self.steps} gradient steps done",)
+        yield State(self.steps, np.asarray(best[0], dtype=np.float64), reasons)
 
 
 def descent(task: Task, weights: Array, samples: Array, ridge: Array, relative: float = 1e-7) -> Iterator[Descent]:
@@ -193,88 +168,63 @@ class LevenbergMarquardt(Trainer):
         """Return the trainer with 20 restarts."""
         return cls(restarts=20)
 
-    def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
-        """Return a training with no step done.
+    def states(self, task: Task, seed: int, starts: Array | None = None, note: str = "") -> Iterator[State]:
+        """Yield the state before and after each damped step of all problems together.
+
+        The problems are the folds with one ridge after the other, then the final training.
 
         seed : seed of folds and random starts
         starts : weights, shape (k, count), that replace the random starts of the final training
+        note : in words what was chosen, in place of the ridge
         """
-        return LmRun(self, task, seed, starts)
-
-
-class LmRun:
-    """One training; a step is one damped step of all its problems together."""
-
-    def __init__(self, trainer: LevenbergMarquardt, task: Task, seed: int, starts: Array | None):
-        self.trainer, self.task, self.seed, self.starts = trainer, task, seed, starts
-        self.folds = min(trainer.folds, task.targets.shape[1])
-        self._candidates = trainer.ridges[::-1]
-        self.steps, self.level, self.inner = 0, 0, 0
-        self.chosen = ""  # in words, in place of the ridge
+        total, unit = task.targets.shape[1], float(np.mean(np.sum(task.targets**2, axis=0)))
+        folds, candidates, scores = min(self.folds, total), self.ridges[::-1], list[float]()
         # None while the cross-validation that chooses it is running
-        self.ridge: float | None = trainer.ridges[0] if len(trainer.ridges) == 1 or self.folds < 2 else None
-        self.scores: list[float] = []
-        self._unit = float(np.mean(np.sum(task.targets**2, axis=0)))
-        self._begin()
+        ridge: float | None = self.ridges[0] if len(self.ridges) == 1 or folds < 2 else None
 
-    def step(self) -> None:
-        """Do one damped step of all problems, and begin the next ridge when its steps are done."""
-        self.batch = next(self._descent)
-        self.steps, self.inner = self.steps + 1, self.inner + 1
-        # There are 100 iterations at the weakest ridge, and 20 at each stronger one.
-        if self.ridge is None and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
-            # Score the current ridge on held-out poses and begin the next or the final training.
-            cost = self.batch.cost.reshape(self.folds, -1)
-            chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
-            weights, inputs, targets = self.batch.point[chosen], self.task.inputs, self.task.targets
-            squares = (forward(self.task.layout, weights, inputs) - targets) ** 2
-            held_out = (self.samples[chosen] == 0)[:, None]
-            self.scores.append(float(np.sum(squares * held_out) / targets.shape[1]))
-            best = int(np.argmin(self.scores))
-            self.level, self.inner = self.level + 1, 0
-            if self.level == len(self._candidates) or self.level > best + 2:
-                self.ridge = self._candidates[best]
-                self._begin()
-            else:
-                self._begin(self.batch.point)
+        def problems(weights: Array | None) -> tuple[Array, Iterator[Descent]]:
+            """Return sample weights and states of the problems of the current ridge.
 
-    def reasons(self) -> tuple[str, ...]:
-        """Return why the training is over; empty as long as it continues."""
-        if self.ridge is None:
-            return ()
-        if not self.batch.active.any():
-            return ("converged: no start gains any more",)
-        return (f"iterations: all {self.trainer.iterations} done",) if self.inner >= self.trainer.iterations else ()
+            weights : start of each; None: random ones, or the given starts of the final training
+            """
+            final = ridge is not None
+            if weights is None:
+                random = np.random.default_rng((seed, int(not final)))
+                weights = random_weights(task.layout, random, self.restarts if final else folds * self.fold_starts)
+                weights = starts if final and starts is not None else weights
+            masks = np.ones((len(weights), total))
+            if not final:
+                masks = np.repeat(training_masks(total, folds, seed), self.fold_starts, axis=0)
+            samples: Array = masks / masks.sum(axis=1, keepdims=True)
+            ridges = np.full(len(weights), (candidates[len(scores)] if ridge is None else ridge) * unit)
+            return samples, descent(task, weights, samples, ridges)
 
-    def best(self) -> Array:
-        """Return the weights of the lowest cost in the current batch, shape (count,)."""
-        return np.asarray(self.batch.point[np.argmin(self.batch.cost)])
-
-    def note(self) -> str:
-        """Return the ridge and how it was chosen, in words."""
-        if self.chosen:
-            return self.chosen
-        if not self.scores:
-            return f"ridge {self.ridge:g}, given"
-        return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"
-
-    def _begin(self, weights: Array | None = None) -> None:
-        """Begin the problems, folds or the final training, of the current ridge.
-
-        weights : start of each problem; None: random ones, or the given starts of the final one
-        """
-        if weights is None:
-            final, t = self.ridge is not None, self.trainer
-            random = np.random.default_rng((self.seed, int(not final)))
-            count = t.restarts if final else self.folds * t.fold_starts
-            weights = random_weights(self.task.layout, random, count)
-            weights = self.starts if final and self.starts is not None else weights
-        total, ridge = self.task.targets.shape[1], self.ridge
-        masks = np.ones((len(weights), total))
-        if ridge is None:
-            ridge, folds = self._candidates[self.level], training_masks(total, self.folds, self.seed)
-            masks = np.repeat(folds, self.trainer.fold_starts, axis=0)
-        self.samples: Array = masks / masks.sum(axis=1, keepdims=True)
-        ridges = np.full(len(weights), ridge * self._unit)
-        self._descent = descent(self.task, weights, self.samples, ridges)
-        self.batch = next(self._descent)
+        samples, batches = problems(None)
+        batch, steps, inner = next(batches), 0, 0
+        while True:
+            reasons: tuple[str, ...] = ()
+            if ridge is not None and not batch.active.any():
+                reasons = ("converged: no start gains any more",)
+            elif ridge is not None and inner >= self.iterations:
+                reasons = (f"iterations: all {self.iterations} done",)
+            if reasons and not note:
+                note = f"ridge {ridge:g}, given"
+                if scores:
+                    note = f"ridge {ridge:g}, chosen by {folds}-fold cross-validation from {len(scores)} candidates"
+            best = np.asarray(batch.point[np.argmin(batch.cost)])
+            yield State(steps, best, reasons, note if reasons else "")
+            if reasons:
+                return
+            batch, steps, inner = next(batches), steps + 1, inner + 1
+            # There are 100 iterations at the weakest ridge, and 20 at each stronger one.
+            if ridge is None and (inner >= (20 if scores else 100) or not batch.active.any()):
+                # Score the ridge on held-out poses and begin the next one or the final training.
+                cost = batch.cost.reshape(folds, -1)
+                chosen = np.argmin(cost, axis=1) + np.arange(folds) * cost.shape[1]
+                squares = (forward(task.layout, batch.point[chosen], task.inputs) - task.targets) ** 2
+                scores.append(float(np.sum(squares * (samples[chosen] == 0)[:, None]) / total))
+                least = int(np.argmin(scores))
+                if len(scores) == len(candidates) or len(scores) > least + 2:
+                    ridge = candidates[least]
+                samples, batches = problems(batch.point if ridge is None else None)
+                batch, inner = next(batches), 0
