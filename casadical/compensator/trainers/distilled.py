@@ -138,7 +138,10 @@ class Taught(Trainer):
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
 
     def states(self, task: Task, seed: int) -> Iterator[State]:
-        """Yield the states of a training on predictions of the process fitted to the task."""
+        """Yield the states of a training on predictions of the process fitted to the task.
+
+        Raises InputError: periodic inputs.
+        """
         if task.layout.periodic:
             raise InputError("the trainer 'taught' takes no periodic inputs; take 'lm', or a layout without them")
         inputs, ones = task.inputs[:-1].T, task.inputs[-1]
