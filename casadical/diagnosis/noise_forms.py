@@ -62,9 +62,10 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     first = ranking.order[0]
     unsized = {noisy_joint_label(part) for c in case.candidates if c.label == first for part in c.variants[0][0].parts}
     # Where no cause is detected, a noisy joint may be.
-    cache, key = case.evidence.cache.setdefault("noise_forms", {}), (chosen.tobytes(), seen)
+    lead = max(ranking.log_mass.values()) - float(np.log(prior["none"])) if len(chosen) else 0.0
+    cache, key = case.evidence.cache.setdefault("noise_forms", {}), (chosen.tobytes(), seen, lead)
     if key not in cache:
-        cache[key] = noise_forms(case, chosen, of_instrument=seen)
+        cache[key] = noise_forms(case, chosen, of_instrument=seen, lead=lead)
     forms = [f for f in cache[key] if f.label not in unsized]
     mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}
     plain = none = float(np.log(prior["none"]))
@@ -94,25 +95,28 @@ def noisy_joint_label(joint: int) -> str:
     return f"{NOISY_JOINT}{joint}"
 
 
-def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
+def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True, lead: float = 0.0) -> Sequence[Rival]:
     """Return each form of noise as a rival, with its log evidence over white noise.
 
     The evidence is averaged over a form's settings; each of five kinds has a fifth of the prior.
+    Forms that cannot come within `POINT_LOG_EVIDENCE_WINDOW` of white noise, or of a more probable
+    cause, are left out.
     chosen : indices of the columns of causes in the model
+    lead : log mass of the most probable cause over that of no additional cause [nats]
     of_instrument : whether autocorrelated and heavy-tailed noise of the instrument is included;
         unequal axes, a random lag and noisy joints are included in any case, where they apply
     """
     e = case.evidence
-    problem = Problem(e, chosen, case.order)
+    problem, least = Problem(e, chosen, case.order), max(lead, 0.0) - POINT_LOG_EVIDENCE_WINDOW
     plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(case.robot.n)
     kinds: list[tuple[str, Sequence[Form], int]] = []
     if of_instrument and e.stop is None:  # poses of one stop share how the joints repeat there
         numbers = e.count / len(e.r)
         kinds += [(AR_NOISE, [ar_form(share, len(e.r), numbers) for share in SETTINGS.ar_coefficients], 1)]
     if of_instrument:
-        kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
+        kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem, least),) if tails]
     if case.vectors is not None:
-        unequal = unequal_forms(problem, case.positions[case.inliers][case.order])
+        unequal = unequal_forms(problem, case.positions[case.inliers][case.order], least)
         named = zip(UNEQUAL_AXES, unequal, strict=True)
         kinds += [(label, [form], len(unequal)) for label, form in named if form]
     if case.lags is not None:
@@ -126,11 +130,15 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         grids: list[Array] = []
         logs = np.zeros(0)
         for form in forms:
+            if form.scale is None and not problem.may_gain(form, least):
+                continue
             grids.append(problem.log_likelihood(form))
             logs = np.append(logs, float(np.logaddexp.reduce(grids[-1], axis=None)))
             # Likelihood falls with the coefficient from here on.
             if logs[-1] < max(plain, logs.max()) - POINT_LOG_EVIDENCE_WINDOW:
                 break
+        if not grids:
+            continue
         gain = (float(np.logaddexp.reduce(logs, axis=None)) - plain) / e.poses_per_stop
         factor = gain - float(np.log(len(forms) * alike * 5))
         best = first_of_best(logs, logs=True)
@@ -204,12 +212,13 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
     return (form, noise, gain) if moved and gain >= SETTINGS.min_ar_log_gain else None
 
 
-def unequal_forms(problem: Problem, places: Array) -> list[Form | None]:
+def unequal_forms(problem: Problem, places: Array, least: float = -np.inf) -> list[Form | None]:
     """Return a form of noise that is unequal along each of `UNEQUAL_AXES`, None where none can win.
 
     Its sizes are those of the residual. The logarithm of the pose count is paid for two of its
     numbers each: the ratios of the sizes, and the rotation of axes that nothing determines.
     places : point of each pose in the instrument's frame [m], in the order of measuring, (n, 3)
+    least : log evidence over white noise that a form needs [nats]
     """
     n = len(problem.e.r)
     if problem.e.r.shape[1] != 3:
@@ -232,6 +241,9 @@ def unequal_forms(problem: Problem, places: Array) -> list[Form | None]:
             times = times * np.sqrt(square)
             times /= np.exp(np.log(times).mean())
             form = replace(form, scale=np.tile(times, (n, 1)), log_weight=-float(cost))
+            if not turn and not problem.may_gain(form, least):
+                gain = 0.0
+                break
         forms.append(form if gain > cost else None)
     return forms
 
@@ -243,10 +255,11 @@ def _likely_residual(problem: Problem, form: Form) -> Array:
     return problem.residual(form, rho)
 
 
-def heavy_tailed_form(problem: Problem) -> Form | None:
+def heavy_tailed_form(problem: Problem, least: float = -np.inf) -> Form | None:
     """Return a form of noise that is larger at poses with large residuals; None without such poses.
 
     The noise there is larger by `Settings.tail_noise_factor`, and white elsewhere.
+    least : log evidence over white noise that the form needs [nats]
     """
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
     share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor
@@ -262,4 +275,6 @@ def heavy_tailed_form(problem: Problem) -> Form | None:
         out = int((times > 1).sum())
         weight = out * np.log(share) + (n - out) * np.log(1 - share) - numbers * out * np.log(factor)
         form = Form(scale=times, log_weight=float(weight))
+        if not problem.may_gain(form, least):
+            return None
     return form if (times > 1).any() else None

@@ -18,8 +18,15 @@ from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
-from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
-from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noisy_joint, unequal_forms
+from casadical.diagnosis.noise_evidence import (
+    MAX_ESTIMATE_ERROR,
+    MIN_ESTIMATED_COLUMNS,
+    WHITE_FORM,
+    Form,
+    Problem,
+    prewhitened,
+)
+from casadical.diagnosis.noise_forms import ar_form, heavy_tailed_form, noise_forms, noisy_joint, unequal_forms
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import _WhitenedResidual
 from casadical.diagnosis.text import as_json, page_of
@@ -142,6 +149,35 @@ def test_noise_that_is_unequal_along_some_axes_is_judged_by_its_covariance(which
     paid = 40 * np.log(own).sum() + 0.5 * (2, 5, 2)[which] * np.log(40)
     exact = density(scaled, 3, SIGMA_GRID_M[at], np.eye(40), np.ones(6)) - paid
     assert p.log_likelihood(found)[3, at] - exact == pytest.approx(plain, abs=1e-5)
+
+
+def test_an_estimated_gain_is_near_that_of_the_likelihood_and_hardly_below() -> None:
+    e, rng = small(40), np.random.default_rng(4)
+    turned = np.linalg.qr(rng.standard_normal((40, 3, 3)))[0]
+    for form in (
+        *(ar_form(share, 40) for share in (0.3, 0.6)),
+        *(Form(joint=j, repeatability_factor=SETTINGS.noisy_joint_factor) for j in range(6)),
+        Form(scale=np.where(np.arange(40) < 5, 4.0, 1.0), log_weight=-2.0),
+        Form(axes=turned, scale=np.tile([1.5, 1.0, 0.7], (40, 1))),
+        Form(lags=1e-3 * rng.standard_normal((40, 3))),
+    ):
+        p = problem(replace(e, r=SIGMA_GRID_M[12] * rng.standard_normal((40, 3))), columns=7)
+        exact, white = (np.logaddexp.reduce(p.log_likelihood(f), axis=None) for f in (form, WHITE_FORM))
+        estimate, gain = p.estimated_gain(form), exact - white
+        assert gain < estimate + MAX_ESTIMATE_ERROR * abs(estimate) + 1.0
+        assert form.ar_coefficient or estimate == pytest.approx(gain, abs=2.0, rel=0.6)
+        assert p.may_gain(form, np.inf)  # few columns are not estimated
+    assert p.estimated_gain(WHITE_FORM) == 0.0
+
+
+def test_forms_that_a_cause_outweighs_are_no_rivals() -> None:
+    c = case("kr210-P02", "joint_error_curve", "backlash")
+    chosen = c.group(next(own for own in c.candidates if own.label == "joint_error_curve").variants[0])
+    assert len(chosen) > MIN_ESTIMATED_COLUMNS  # fewer are not estimated
+    every = {form.label: form for form in noise_forms(c, chosen)}
+    with_lead = {form.label: form for form in noise_forms(c, chosen, lead=1e6)}
+    assert every
+    assert not with_lead
 
 
 def test_noise_of_one_size_is_unequal_along_no_axes() -> None:
