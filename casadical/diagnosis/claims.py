@@ -47,8 +47,8 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= further)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
     doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= SETTINGS.min_doubtful]
-    strongest = best_of(doubtful, _evidence, logs=True) if doubtful else None
-    if strongest and all(_evidence(strongest) > _evidence(s) + TIE_TOLERANCE for s in certain):
+    strongest = best_of(doubtful, lambda s: s.log_gain, logs=True) if doubtful else None
+    if strongest and all(strongest.log_gain > s.log_gain + TIE_TOLERANCE for s in certain):
         certain = [strongest, *certain]
     if len(certain) == len(steps):
         return replace(state, steps=tuple(certain)), end
@@ -109,11 +109,6 @@ def _is_certain(state: State, step: Step) -> bool:
     return len(each) == 1 or (
         alike and first_of_best(each) == 0 and min(each) >= SETTINGS.min_ambiguous and sum(each) >= SETTINGS.min_claim
     )
-
-
-def _evidence(step: Step) -> float:
-    """Return the log Bayes factor of a step's cause against no additional cause [nats]."""
-    return step.ranking.log_factor[step.labels[0]]
 
 
 def _shrinks(state: State, k: int, seed: int) -> bool:

@@ -152,7 +152,7 @@ def _rest_at(state: State, step: Step, account: NoiseAccount) -> float:
     unlisted = [c for c in state.case.candidates if not c.listed and c.label in last.probability]
     there = [c.label for c in unlisted if not places.isdisjoint(getattr(c.variants[0][0], n, None) for n in names)]
     gain = max((last.log_factor[label] for label in there), default=0.0)
-    flaw = gain <= SETTINGS.max_flaw * step.ranking.log_factor[step.labels[0]]
+    flaw = gain <= SETTINGS.max_flaw * step.log_gain
     return 0.0 if flaw else sum(last.probability[label] for label in there)
 
 

@@ -42,6 +42,11 @@ class Step:
     labels: tuple[str, ...]
     effects: tuple[Effect, ...]
 
+    @property
+    def log_gain(self) -> float:
+        """Return the log Bayes factor of its cause against no additional cause [nats]."""
+        return self.ranking.log_factor[self.labels[0]]
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -158,9 +163,9 @@ class State:
     def log_gain(self) -> float:
         """Return the log evidence of all causes in the model together over none [nats].
 
-        It is the sum of their log factors, each from the ranking that its step has.
+        It is the sum of theirs, each from the ranking that its step has.
         """
-        return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
+        return sum(s.log_gain for s in self.steps)
 
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
         """Return the labels of the most probable set of additional listed causes.
