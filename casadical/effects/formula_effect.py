@@ -61,42 +61,12 @@ SEAMS = {
 MOTION_SEAMS = ("torque", "torques", "response", "responses")
 # Names of signals of the effect's own joint that a formula in joint logs may use (see `motion`).
 MOTION_NAMES = frozenset(
-    {
-        "q",
-        "v",
-        "a",
-        "speed",
-        "turned",
-        "slip",
-        "load",
-        "tau",
-        "friction",
-        "drag",
-        "inertia",
-        "motor",
-        "t",
-        "time",
-        "run",
-        "zero",
-        "mass",
-        "mass_x",
-        "mass_y",
-        "mass_z",
-        "link",
-        "servo",
-        "command_speed",
-        "command_acceleration",
-        "side",
-        "delayed",
-        "filtered",
-        "wound",
-        "heat",
-        "rest",
-        "at_limit",
-        "after_limit",
-        "at_speed_limit",
-        "after_speed_limit",
-    }
+    (
+        *("q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia"),
+        *("motor", "t", "time", "run", "zero", "mass", "mass_x", "mass_y", "mass_z", "link"),
+        *("servo", "command_speed", "command_acceleration", "side", "delayed", "filtered", "wound"),
+        *("heat", "rest", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit"),
+    )
 )
 # Pattern of names of signals of any joint, with its number, in formulas in joint logs.
 MOTION_NAME_OF_JOINT = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")

@@ -59,22 +59,6 @@ _INTERVAL_RULES: dict[str, Callable[..., Interval]] = {
     "sin": lambda _a: (-1.0, 1.0),
     "cos": lambda _a: (-1.0, 1.0),
 }
-# Names of operations whose intervals need no widening: results that are not rounded, or clamped.
-_EXACT_OPERATIONS = {
-    "input",
-    "const",
-    "neg",
-    "fabs",
-    "fmin",
-    "fmax",
-    "tansig",
-    "lt",
-    "le",
-    "not",
-    "sign",
-    "select",
-    "sincos",
-}
 
 
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
@@ -112,9 +96,14 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
     largest, smallest = COEFFICIENTS[real].largest, COEFFICIENTS[real].smallest
     share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
     box = [(float(a), float(b)) for a, b in zip(lower, upper, strict=True)]
+    # Results of these operations are not rounded, or clamped: their intervals need no widening.
+    unrounded = {
+        *("input", "const", "neg", "fabs", "fmin", "fmax", "tansig"),
+        *("lt", "le", "not", "sign", "select", "sincos"),
+    }
     for node in tape.nodes:
         exact = _bound(node, [intervals[a] for a in node.args], box, real)
-        if not (node.op in _EXACT_OPERATIONS or (node.op == "mul" and exact == (0.0, 0.0))):
+        if not (node.op in unrounded or (node.op == "mul" and exact == (0.0, 0.0))):
             low, high = (v - abs(v) * share * s - smallest * s for v, s in zip(exact, (1.0, -1.0), strict=True))
             # Where the operation could overflow, its result may be anything.
             exact = (low, high) if low >= -largest and high <= largest else _REAL_LINE
