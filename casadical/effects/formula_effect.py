@@ -245,7 +245,10 @@ class FormulaEffect(Effect):
     def of_head(self) -> tuple[str, ...]:
         """Return the column of the head's last rotation in a tuple; () if unused or in `needs`."""
         named = any(HEAD_NAME in f.names for seam, f in self.formulas.items() if seam in STATION_SEAMS)
-        return (head_column(self.station),) if named and HEAD_NAME not in self.needs else ()  # type: ignore[attr-defined]
+        if not named or HEAD_NAME in self.needs:
+            return ()
+        millimetres = "_".join(f"{1e3 * v:.0f}" for v in self.station)  # type: ignore[attr-defined]
+        return (f"head_{millimetres}mm".replace("-", "m"),)
 
 
 def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
@@ -330,15 +333,6 @@ def is_variable(name: str, seam: str) -> bool:
     if seam == "energy" and name.startswith("tau"):
         return False
     return bool(COLUMN_NAME.fullmatch(name) or _POSE_NAME.fullmatch(name))
-
-
-def head_column(station: Iterable[float]) -> str:
-    """Return the name of the column of the sense of an instrument head's last rotation.
-
-    station : position of the instrument in the measuring frame [m], rounded to whole millimetres
-        in the name
-    """
-    return f"head_{'_'.join(f'{1e3 * v:.0f}' for v in station)}mm".replace("-", "m")
 
 
 def image_columns(side: str, what: str) -> tuple[str, str, str]:

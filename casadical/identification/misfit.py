@@ -36,24 +36,12 @@ MAX_FITTED_HARMONIC = 6
 REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """Residuals and Jacobians of some poses at the fitted values.
-
-    Every pose has as many rows (numbers) as the kind with the most of them. Lengths are in mm;
-    residuals whose accuracy differs from that of the lengths of the first set are scaled to the
-    same noise.
-
-    r : residuals, shape (n, numbers) [mm]
-    J : Jacobian by the parameters in units of their scale, shape (n, numbers, k) [mm]
-    Jq : Jacobian by the zero of each revolute joint, shape (n, numbers, joints) [mm/mrad]
-    U : Jacobian by the coordinates of the unknown points, shape (n, numbers, 3 points) [mm/mm]
-    """
-
-    r: Array
-    J: Array
-    Jq: Array
-    U: Array
+# Residuals and Jacobians of some poses at the fitted values, every pose with as many rows as the kind
+# with the most of them. Lengths are in mm; residuals whose accuracy differs from that of the lengths
+# of the first set are scaled to the same noise: residuals, (n, numbers) [mm]; Jacobians by the
+# parameters in units of their scale, (n, numbers, k) [mm], by the zero of each revolute joint,
+# (n, numbers, joints) [mm/mrad], and by the unknown points, (n, numbers, 3 points) [mm/mm].
+_Rows = tuple[Array, Array, Array, Array]
 
 
 class _Poses:
@@ -188,7 +176,7 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
     zeros = [k for k, name in enumerate(names) if name.startswith("theta")]
     width = max(find_kind(m.kind).numbers for m in sets)
     (first, _) = found.problem.sigmas[0]
-    together: list[tuple[Array, ...]] = []
+    together: list[_Rows] = []
     for k, (m, sigmas) in enumerate(zip(sets, found.problem.sigmas, strict=True)):
         at = np.array([number[f"{k}/{name}"] for name in find_kind(m.kind).point_names(m.arrays)], dtype=int)
         length, angle = (M_PER_MM * sigma / first for sigma in sigmas)
@@ -201,11 +189,12 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
             out = [(0, 0), (0, width - r.shape[1])]
             r, J, U = (np.pad(value, [*out, (0, 0)][: value.ndim]) for value in (r, J[:, :, : len(names)], U))
             if not points.size:
-                yield _Rows(r, J, J[:, :, zeros], U)
+                yield r, J, J[:, :, zeros], U
             else:
                 together.append((r, J, J[:, :, zeros], U))
     if together:
-        yield _Rows(*map(np.concatenate, zip(*together, strict=True)))
+        r, J, Jq, U = map(np.concatenate, zip(*together, strict=True))
+        yield r, J, Jq, U
 
 
 def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
@@ -283,12 +272,10 @@ def _normal_equations(
     """
     sums_of: dict[int, NormalSums] = {}
     spread, done = 0.0, 0
-    for rows in poses:
-        n, numbers = rows.r.shape
-        joints = NoiseModel((n, numbers), {"repeatability": rows.Jq})
+    for r, J, Jq, U in poses:
+        joints = NoiseModel(r.shape, {"repeatability": Jq})
         W, log_det = joints.whitening({"repeatability": np.array(rhos)})
-        white, Jw, U = (W @ some for some in (rows.r[:, :, None], rows.J, rows.U))
-        white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
+        white, Jw, seen = _without_points((W @ r[:, :, None])[:, :, 0], W @ J, W @ U)
         spread += 0.5 * log_det + seen
         own = np.zeros(len(white), dtype=int) if part is None else part[done : done + len(white)]
         done += len(white)

@@ -461,16 +461,11 @@ class Identification(Result):
         It is the robot "before calibration" with which the calibrated one is compared; `start`
         where these poses do not determine the frames.
         """
-        return self._placed[0]
-
-    @property
-    def placed_covariance(self) -> tuple[tuple[str, ...], Array]:
-        """Names of the fitted parameters of `placed`, and their covariance, shape (p, p) [SI]."""
-        return self._placed[1:]
+        return self.placed_fit[0]
 
     @cached_property
-    def _placed(self) -> tuple[Robot, tuple[str, ...], Array]:
-        """Compute `placed`, and names and covariance of its parameters."""
+    def placed_fit(self) -> tuple[Robot, tuple[str, ...], Array]:
+        """Robot `placed`, names of its fitted parameters, and their covariance, (p, p) [SI]."""
         nothing = self.start, (), np.zeros((0, 0))
         groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
         if not groups:

@@ -85,9 +85,7 @@ def hand_eye_of(found: Identification, *, nominal: bool = False) -> HandEye | No
         return None
     # Its parent frame, and the placement whose parameters have the transform.
     parent, group = {"in hand": ("flange", "tool"), "to base": ("base", "base")}[camera]
-    robot, names, C = (
-        (found.placed, *found.placed_covariance) if nominal else (found.robot, found.names, found.covariance)
-    )
+    robot, names, C = found.placed_fit if nominal else (found.robot, found.names, found.covariance)
 
     def transform(robot: Robot) -> Array:
         return robot.tool.T if parent == "flange" else np.linalg.inv(robot.base.T)

@@ -22,17 +22,6 @@ ROUNDING_TOLERANCE = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
-class Axis:
-    """A joint's axis where all joint variables are zero, in a common frame of the chain.
-
-    point : any point on the axis, shape (3,) [m]; direction : unit vector, shape (3,)
-    """
-
-    point: Array
-    direction: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Chain:
     """A chain in modified DH form.
 
@@ -48,27 +37,28 @@ class Chain:
     tool: Array
 
 
-def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
+def rows_from_axes(points: Sequence[Array], directions: Sequence[Array], tip: Array) -> Chain:
     """Return the modified DH form of a chain given by its joint axes at zero joint variables.
 
     Axes may be parallel, antiparallel, intersecting or coincident.
 
-    axes : from base to tip, in a common frame; tip : chain's end in that frame, shape (4, 4) [m]
+    points, directions : any point on each axis [m] and its unit vector, shape (3,) each, from base
+        to tip in a common frame; tip : chain's end in that frame, shape (4, 4) [m]
     """
     # Frame 0 has z along the first axis, its origin at the axis' point nearest to the common
     # frame's origin, and x oriented like the common frame's.
-    z = axes[0].direction
+    z = directions[0]
     x = _perpendicular_x(np.eye(3), z)
-    T = base = frame(np.column_stack([x, np.cross(z, x), z]), axes[0].point - (axes[0].point @ z) * z)
+    T = base = frame(np.column_stack([x, np.cross(z, x), z]), points[0] - (points[0] @ z) * z)
     rows, frames = [], []
     row = Joint()
-    for k in range(len(axes)):
+    for k in range(len(points)):
         entry = T @ row_matrix(row)
-        if k + 1 < len(axes):
+        if k + 1 < len(points):
             # Theta and d of the row point its x at the next axis, which begins the next row.
             to_entry = np.linalg.inv(entry)
-            p = to_entry[:3, :3] @ axes[k + 1].point + to_entry[:3, 3]
-            z = to_entry[:3, :3] @ axes[k + 1].direction
+            p = to_entry[:3, :3] @ points[k + 1] + to_entry[:3, 3]
+            z = to_entry[:3, :3] @ directions[k + 1]
             parallel = np.hypot(z[0], z[1]) < np.sin(NEAR_PARALLEL_RAD)
             row, following = _hayati(row, p, z) if parallel else _craig(row, p, z)
         else:
@@ -79,7 +69,7 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
         T = T @ row_matrix(row)
         rows.append(row)
         frames.append(T)
-        row = following if k + 1 < len(axes) else row
+        row = following if k + 1 < len(points) else row
     return Chain(base, tuple(rows), tuple(frames), np.linalg.inv(T) @ tip)
 
 

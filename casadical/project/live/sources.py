@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Lock, Thread
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -31,10 +31,8 @@ JOURNAL_FILE = "measured.jsonl"
 POLL_INTERVAL_S = 0.2
 
 
-class Add(Protocol):
-    """A function that writes an event to the journal."""
-
-    def __call__(self, do: str, **event: Any) -> dict[str, Any]: ...
+# A function that writes an event to the journal: its kind, and its values by name.
+Add = Callable[..., dict[str, Any]]
 
 
 @dataclass

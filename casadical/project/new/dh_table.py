@@ -29,7 +29,7 @@ from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.vocabulary import UNITS, WORDS
 from casadical.project.faults import each_of
 from casadical.project.new.texts import ROBOT_HEAD
-from casadical.robot.axes import Axis, rows_from_axes
+from casadical.robot.axes import rows_from_axes
 
 # Columns of a table of DH rows that have the DH parameters.
 _ROW_COLUMNS = ["a_mm", "a_m", "alpha_deg", "alpha_rad", "d_mm", "d_m", "theta_deg", "theta_rad"]
@@ -92,7 +92,7 @@ def _ur_text(path: Path, name: str) -> str:
             )
         T = T @ frame(from_rpy(np.array(numbers[3:])), np.array(numbers[:3]))
         frames.append(T)
-    chain = rows_from_axes([Axis(T[:3, 3], T[:3, 2]) for T in frames], frames[-1])
+    chain = rows_from_axes([T[:3, 3] for T in frames], [T[:3, 2] for T in frames], frames[-1])
     units = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad", "beta": "rad"}
     rows = [
         "\n".join(

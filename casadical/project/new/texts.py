@@ -220,7 +220,7 @@ def _urdf_lines(links: tuple[str | None, str | None], given: Given) -> str:
         lines.append(f'{key} = "{link}"' if link else default)
     lines.append("# compliant = [2, 3]               # joints whose compliance is identified too")
     for name in given.tools if len(given.tools) > 1 else [""] if given.turned else ():
-        lines += ["", "[[urdf.tool]]", *([f"name = {_quoted(name)}"] if name else [])]
+        lines += ["", "[[urdf.tool]]", *([f"name = {json.dumps(name, ensure_ascii=False)}"] if name else [])]
         lines.append("xyz_mm = [0, 0, 0]                 # TO DO: roughly where it is in the frame of the tip link")
         lines += ['unknown = "pose"                   # the table says how it is turned'] if given.turned else []
     return "\n".join([*lines, ""])
@@ -266,7 +266,9 @@ def with_measured(robot: str, given: Given) -> str:
     tables = [f"[tool]{own}"]
     if len(given.tools) > 1:
         keys = own.split("\n", 1)[1]
-        tables = [f"[[tool]]  # measured point {n}\nname = {_quoted(n)}\n{keys}" for n in given.tools]
+        tables = [
+            f"[[tool]]  # measured point {n}\nname = {json.dumps(n, ensure_ascii=False)}\n{keys}" for n in given.tools
+        ]
     # The two statements on gravity between which `with_measured` chooses.
     gravity_in_measuring_frame = (
         'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
@@ -277,11 +279,6 @@ def with_measured(robot: str, given: Given) -> str:
     return start + "\n\n".join(
         [*tables, after.replace(gravity_in_measuring_frame, gravity_in_base_frame) if given.tilted else after]
     )
-
-
-def _quoted(name: str) -> str:
-    """Return a name as a string of TOML."""
-    return json.dumps(name, ensure_ascii=False)
 
 
 def with_masses(text: str, robot: Robot, standard: bool) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
-from casadical.robot.axes import Axis, Chain, rows_from_axes
+from casadical.robot.axes import Chain, rows_from_axes
 from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import MAX_JOINTS, far_centre
 from casadical.robot.urdf.tree import Tree, parse_urdf
@@ -122,8 +122,8 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         _refuse_unusable(j, str(path))
     followed = _followed(moving, {j.name: j for j in urdf.joints}, str(path))
     frames, movers = tree.at_zero(base, own)
-    placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
-    dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
+    directions = [frames[j.child][:3, :3] @ (j.axis / np.linalg.norm(j.axis)) for j in moving]
+    dh = rows_from_axes([frames[j.child][:3, 3] for j in moving], directions, frames[tip])
     bodies = _bodies(urdf, tree, dh, frames, movers)
     notes = [f"from {path.name}: {base} to {tip}"]
     if aside := [j.name for j in urdf.joints if j.type != "fixed" and movers.get(j.child) and j.name not in own]:
