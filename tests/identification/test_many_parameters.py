@@ -83,7 +83,7 @@ def test_the_misfit_is_that_of_all_poses(measured) -> None:
     """As they were measured at once, and in parts whose rows are not kept."""
     usual = wide_fit(identify(ARM, measured, ["kinematic"], priors=True))
     parts = wide_fit(identify(ARM, [measured[:7], measured[7:]], ["kinematic"], priors=True), max_cached=0)
-    assert [len(rows.r) for rows in parts.poses] == [7, 53]
+    assert [len(r) for r, *_ in parts.poses] == [7, 53]
     assert parts.misfit == pytest.approx(usual.misfit, rel=1e-9)
     assert parts.coordinate_sigma == pytest.approx(usual.coordinate_sigma, rel=1e-9)
     assert parts.best.log_likelihood == pytest.approx(usual.best.log_likelihood, rel=1e-9)
