@@ -41,8 +41,8 @@ class Chosen:
     combined : these new columns, those of complete parts replaced by combinations
     before : model without the new columns; None for the base alone
     at : update of `before` by the new columns, by index of the grid point
-    along : coordinates of the new columns in the axes of `before`, by index of the grid point,
-        shape (parameters of before, new)
+    along : coefficients that project the new columns on those of each level before, of the base
+        first, by index of the grid point, shape (parameters of the level, new) each
     """
 
     log_base: Array
@@ -51,12 +51,12 @@ class Chosen:
     combined: Combined
     before: Chosen | None
     at: dict[int, Joined]
-    along: dict[int, Array]
+    along: dict[int, list[Array]]
 
-    def estimate(self, k: int) -> Array:
-        """Return the estimate in the orthonormal axes of all parameters, shape (parameters,)."""
-        own = self.at[k].z
-        return own if self.before is None else np.append(self.before.estimate(k), own)
+    @property
+    def levels(self) -> list[Chosen]:
+        """Return the models on which this one is built, the base first, and itself."""
+        return [self] if self.before is None else [*self.before.levels, self]
 
 
 class Marginals:
@@ -168,12 +168,13 @@ class Marginals:
         self.sums.add_cross_products(runs := self.sums.runs(new), model.near, new)
         weights, every = model.reference / model.cause_prior_sigmas[new], model.combined(new)
         precision, lost = np.diag(every.per_combination(weights**2)), every.sum_over_dropped(np.log(weights))
-        at, along = dict[int, Joined](), dict[int, Array]()
+        at, along = dict[int, Joined](), dict[int, list[Array]]()
         for k in model.near:
             axes, right = self._axes_and_right(before, k, new)
-            along[k] = every.combine(axes.T)
-            cross, last = self.sums.cross_products(runs, k, new), before.at[k]
-            normal = every.combine(cross.T) + precision - along[k].T @ along[k]
+            parts, last = [every.combine(V.T) for V in axes], before.at[k]
+            along[k] = [level.at[k].root.T @ V for level, V in zip(before.levels, parts, strict=True)]
+            normal = every.combine(self.sums.cross_products(runs, k, new).T) + precision
+            normal -= sum(V.T @ V for V in parts)
             at[k] = joined(normal, every.combine(right), last.square, last.log_norm - lost)
         return Chosen(self._log_base_of(at), columns, runs, every, before, at, along)
 
@@ -192,45 +193,35 @@ class Marginals:
             self._prepare(chosen.before, columns)
             self.sums.add_cross_products(chosen.runs, self.model.near, columns)
 
-    def _products(self, chosen: Chosen, k: int, columns: Array) -> Array:
-        """Return products of columns with the new ones of a model, orthogonal to the one before.
+    def _products(self, chosen: Chosen, k: int, columns: Array) -> list[Array]:
+        """Return products of columns with the new ones of each level, orthogonal to those before.
 
-        They have the shape (len(columns), new), and those with the base columns for the base alone.
+        They have the shape (len(columns), new) each, of the base first. Those of all columns with
+        many new ones would take more memory than all else, and are computed when they are needed.
 
         k : index of the grid point; columns : indices of prepared columns
         """
-        if chosen.before is None:
-            return self.sums.columns[self.model.near.index(k)][columns][:, :-1]
-        products = self.sums.cross_products(chosen.runs, k, columns)
-        products -= self._dot(chosen.before, k, columns, chosen.along[k])
+        products = [self.sums.columns[self.model.near.index(k)][columns][:, :-1]]
+        for level in chosen.levels[1:]:
+            own = self.sums.cross_products(level.runs, k, columns)
+            for before, coefficients in zip(products, level.along[k], strict=True):
+                own -= before @ coefficients
+            products.append(own)
         return products
 
-    def _dot(self, chosen: Chosen, k: int, columns: Array, others: Array) -> Array:
-        """Return products of columns with others that a model spans, shape (len(columns), others).
+    def _axes_and_right(self, chosen: Chosen, k: int, columns: Array) -> tuple[list[Array], Array]:
+        """Return coordinates of columns in the axes of each level, and products with the residual.
 
-        Coordinates of all columns in many axes would take more memory than all else: they are not
-        cached but computed again from the products of the columns.
-
-        k : index of the grid point; columns : indices of prepared columns
-        others : their coordinates in the axes of all parameters, shape (parameters, others)
-        """
-        new = len(chosen.at[k].z)
-        total: Array = self._products(chosen, k, columns) @ (chosen.at[k].root.T @ others[-new:])
-        if chosen.before is not None:
-            total += self._dot(chosen.before, k, columns, others[:-new])
-        return total
-
-    def _axes_and_right(self, chosen: Chosen, k: int, columns: Array) -> tuple[Array, Array]:
-        """Return coordinates of columns in the axes of all parameters, and products with residual.
-
-        The shapes are (len(columns), parameters) and (len(columns),); the residual is the whitened
-        one of the model.
+        The shapes are (len(columns), new), of the base first, and (len(columns),); the residual is
+        the whitened one of the model.
 
         k : index of the grid point; columns : indices of prepared columns
         """
-        estimate = chosen.estimate(k)
-        axes = self._dot(chosen, k, columns, np.eye(len(estimate)))
-        return axes, self.sums.columns[self.model.near.index(k)][columns][:, -1] - axes @ estimate
+        right, axes = self.sums.columns[self.model.near.index(k)][columns][:, -1], []
+        for level, products in zip(chosen.levels, self._products(chosen, k, columns), strict=True):
+            axes.append(products @ level.at[k].root.T)
+            right = right - axes[-1] @ level.at[k].z
+        return axes, right
 
     def _spectra(self, groups: Iterable[Array], chosen: Chosen) -> dict[bytes, tuple[Array, ...]]:
         """Return results for narrow groups given a model, by the bytes of their indices.
@@ -264,12 +255,12 @@ class Marginals:
             else:
                 right = np.stack([rows[columns][:, :, -1] for rows in self.sums.columns], axis=1)
             for i, k in enumerate(self.model.near):
-                V = self._products(chosen, k, columns.ravel()) @ chosen.at[k].root.T
+                V = self._products(chosen, k, columns.ravel())[-1] @ chosen.at[k].root.T
                 V = V.reshape(*columns.shape, -1)
                 own[:, i] -= V @ V.transpose(0, 2, 1)
                 right[:, i] -= V @ chosen.at[k].z
             value, vector = np.linalg.eigh(own)
-            projected = np.einsum("gpij,gpi->gpj", vector, right)
+            projected = (right[:, :, None] @ vector)[:, :, 0]
             known.update(zip(keys, zip(own, right, value, projected, strict=True), strict=True))
         return known
 
@@ -325,7 +316,7 @@ class Marginals:
         else:
             self._prepare(chosen, group)
             axes, right = self._axes_and_right(chosen, k, group)
-            V = every.combine(axes.T)
+            V = every.combine(np.hstack(axes).T)
             value, vector = np.linalg.eigh(self.sums.wide_gram_matrix(group, k) - V.T @ V)
             self._wide[key] = value, vector.T @ every.combine(right)
         return self._wide[key]
