@@ -44,7 +44,8 @@ def ranked_laws(
 ) -> Round | None:
     """Return the ranking with laws; None where none can reach the log mass `needed` [nats].
 
-    None, too, where no state variable varies over the poses.
+    None, too, where no state variable varies over the poses. A law that is an alias of a listed
+    effect reaches nothing: with `needed` its errors, and what is given it, are not computed.
     chosen : indices of the columns in the model; skip : labels of their effects
     ranking : that of the other candidates
     """
@@ -69,12 +70,14 @@ def ranked_laws(
     found = Round(tuple(laws), _with_laws(ranking, laws, chosen), case.form)
     if found.best.form == SMOOTH_FORM or found.probability < SETTINGS.min_law_claim:
         return found
+    alias = aliases(case, chosen, found.best, ranking.variant)
+    if alias and needed > -np.inf:
+        return replace(found, alias=alias)
     best = problem.with_errors(found.best)
     more = with_law(case, best.law)
     columns = np.union1d(chosen, more.group((best.law,)))
     given = ranking_of(more, columns, skip | {best.law.label})
     given = _with_laws(given, LawProblem.of_case(more, columns).judged(every), columns)
-    alias = aliases(case, chosen, best, ranking.variant)
     return replace(found, laws=(best, *laws[1:]), alias=alias, further=given.none)
 
 
