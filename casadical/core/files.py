@@ -232,7 +232,7 @@ def private_folder(name: str = "") -> Path | None:
 
     It is the folder `casadical` in that of the variable CASADICAL_CACHE, whose mode is unchanged,
     else in the user's cache folder. Its mode is made 0700; if others could write to it, the cached
-    libraries and JSON files in it are removed. None is returned where it cannot be made, is a link,
+    files in it are removed. None is returned where it cannot be made, is a link,
     or belongs to another user, and where the user has no home folder.
 
     name : folder in the cache folder; empty: the cache folder itself
@@ -254,8 +254,9 @@ def private_folder(name: str = "") -> Path | None:
 def _own(folder: Path) -> bool:
     """Return whether a path is a folder of the user and no link; then set its mode to 0700.
 
-    If others could write to it, the cached libraries and JSON files in it are removed. On Windows,
-    which has no such owners, every folder counts as the user's and is unchanged.
+    If others could write to it, the cached libraries, JSON files and compiled templates in it are
+    removed. On Windows, which has no such owners, every folder counts as the user's and is
+    unchanged.
     """
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode):
@@ -268,6 +269,6 @@ def _own(folder: Path) -> bool:
         folder.chmod(0o700)
     if about.st_mode & 0o022:  # others could write: what looks like ours may not be
         for path in folder.iterdir():
-            if re.fullmatch(r".*-[0-9a-f]{32}\.(so|json)", path.name):
+            if re.fullmatch(r".*-[0-9a-f]{32,40}\.(so|json|jinja)", path.name):
                 path.unlink()
     return True

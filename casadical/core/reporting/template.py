@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from casadical.core.files import private_folder
 from casadical.core.reporting.blocks import Block, Kind, Table, Words, mm
 from casadical.core.reporting.figure import Figure
 
@@ -42,15 +43,18 @@ def tag(kind: str) -> str:
 @cache
 def _environment(folder: Path) -> Environment:
     """Return the jinja2 environment of a folder's text templates."""
-    from jinja2 import Environment, FunctionLoader, StrictUndefined  # late: what shows nothing needs no jinja2
+    # Imported late: what shows nothing needs no jinja2.
+    from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined
 
     def load(name: str) -> str:
         """Return the text of a template file, with tags in place of lines [kind]."""
         source = (folder / name).read_text(encoding="utf-8")
         return re.sub(r"(?m)^\[([A-Za-z]+!?)\]$", lambda found: tag(found[1]), source)
 
+    own = private_folder()
     environment = Environment(
         loader=FunctionLoader(load),
+        bytecode_cache=FileSystemBytecodeCache(str(own), "template-%s.jinja") if own else None,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
