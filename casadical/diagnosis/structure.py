@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
-from math import lgamma, log
+from math import exp, lgamma, log, log1p
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -530,8 +530,10 @@ def log_chance_of(share: float, width: int, freedom: float) -> float:
     if rest <= 0 or not half:
         return 0.0
     share = min(max(share, 0.0), 1 - 1e-12)
-    terms = [i * np.log(max(share, 1e-300)) + lgamma(rest + i) - lgamma(rest) - lgamma(i + 1) for i in range(half)]
-    return min(0.0, rest * float(np.log1p(-share)) + float(np.logaddexp.reduce(terms)))
+    log_share, first = log(max(share, 1e-300)), lgamma(rest)
+    terms = [i * log_share + lgamma(rest + i) - first - lgamma(i + 1) for i in range(half)]
+    greatest = max(terms)
+    return min(0.0, rest * log1p(-share) + greatest + log(sum(exp(term - greatest) for term in terms)))
 
 
 def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:

@@ -144,8 +144,11 @@ def root_of_inverse(normal: Array) -> Array:
 
 def inverse_of(normal: Array) -> Array:
     """Return the inverse of a normal matrix, shape (p, p), symmetric to the last bit."""
-    root = root_of_inverse(normal)
-    return np.asarray(root.T @ root)
+    from scipy.linalg.lapack import dpotri
+
+    L, scale = _factor(normal)
+    lower = np.tril(dpotri(L, lower=1)[0])
+    return np.asarray((lower + np.tril(lower, -1).T) * np.outer(scale, scale))
 
 
 def _factor(normal: Array) -> tuple[Array, Array]:
