@@ -158,7 +158,8 @@ class _WhitenedResidual:
         self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma})[0] / noise.sigma
         # Orthonormal basis of what a fit with priors absorbs.
         whole = e.with_base(columns)
-        A = self.rows(whole.J) * noise.sigma
+        A = self.rows(whole.J)
+        A *= noise.sigma
         Q, _ = axes_of_base(A, noise.sigma / whole.prior)
         self._Q = Q[: len(A)]
         self._absorbed = float((self._Q**2).sum())

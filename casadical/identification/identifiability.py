@@ -176,8 +176,9 @@ def scaled_solution(H: Array, g: Array) -> Array:
     It is as by `scaled_inverse`, with a third of its operations where H is far from singular.
     """
     root = np.sqrt(np.maximum(np.diag(H), 1e-200))
+    scaled = np.outer(root, root)
     with suppress(np.linalg.LinAlgError):
-        L = np.linalg.cholesky(H / np.outer(root, root))
+        L = np.linalg.cholesky(np.divide(H, scaled, out=scaled))
         if np.diag(L).min(initial=1.0) > 1e-4:
             if len(L) <= MAX_NUMPY_ROWS:
                 half = inverse_of_triangle(L)

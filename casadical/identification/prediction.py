@@ -102,7 +102,8 @@ def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> A
     groups : for every set the number of each pose's group, from 0, shape (n,)
     """
     count = 1 + max(int(own.max()) for own in groups)
-    lost = [(np.zeros(problem.size), np.zeros((problem.size, problem.size))) for _ in range(count)]
+    g, H = problem.gradient(v)
+    without = [(g.copy(), H.copy()) for _ in range(count)]
     first = [0] * len(problem.sets)
     for k, r, J in problem.parts(v):
         if k == len(problem.sets):  # given distances between points belong to no row
@@ -110,17 +111,15 @@ def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> A
         at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
         first[k] += len(r)
         rows, y = problem.through_loss(k, r, J)
-        for group, (gradient, information) in enumerate(lost):
+        for group, (gradient, information) in enumerate(without):
             own = rows[at == group]
-            gradient += own.T @ y[at == group]
-            information += own.T @ own
-    g, H = problem.gradient(v)
+            gradient -= own.T @ y[at == group]
+            information -= own.T @ own
     lower, upper = problem.bounds
     near = lower - v, upper - v, problem.at_bounds(v)
     # Below this share of a variable's information, the difference is only rounding error.
-    alone = [np.diag(H - information) > 1e-9 * np.diag(H) for _, information in lost]
-    without = zip(lost, alone, strict=True)
-    return np.stack([bounded_step(g - of[0], H - of[1], *near, some) for of, some in without])
+    some = [np.diag(information) > 1e-9 * np.diag(H) for _, information in without]
+    return np.stack([bounded_step(*without.pop(0), *near, own) for own in some])
 
 
 def covariance_of_all(

@@ -302,7 +302,8 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
     for turn in range(60):
         free = own & ~fixed
         step = np.where(free, 0.0, step)
-        step[free] = -scaled_solution(H[np.ix_(free, free)], (g + H @ step)[free])
+        some = H if free.all() else H[np.ix_(free, free)]
+        step[free] = -scaled_solution(some, (g + H @ step)[free])
         inside = np.clip(step, lower, upper)
         if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
             best, least = inside, cost

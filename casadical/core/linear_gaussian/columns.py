@@ -46,7 +46,7 @@ class MemoryLimits:
     column_bytes: int = 24_000_000
     min_blocks: int = 64
     cache_bytes: int = 60_000_000
-    part_bytes: int = 32_000_000
+    part_bytes: int = 6_000_000
     max_observation_rows: int = 1500
 
 

@@ -177,18 +177,14 @@ class Fit:
 
     @cached_property
     def _residual_maker(self) -> Array | None:
-        """Return the residual maker I - B B', shape (n m, n m), for the hat matrix B B'.
+        """Return the residual maker, shape (n m, n m), of a fit with fewer rows than parameters.
 
-        None is returned for more rows than `MemoryLimits.max_observation_rows`, or without cached
-        columns.
+        None is returned for more rows, also than `MemoryLimits.max_observation_rows`, and without
+        cached columns.
         """
         rows, p = len(self.y), len(self.prior)
-        if rows > self._memory.max_observation_rows or self._cached_columns is None:
+        if rows > min(p, self._memory.max_observation_rows) or self._cached_columns is None:
             return None
-        if rows > p:
-            hat_root = self._cached_columns @ self.root.T
-            hat = hat_root @ hat_root.T
-            return np.asarray(np.subtract(np.eye(rows), hat, out=hat))
         first = p - self.combined.width
         Q, _ = axes_of_base(self._cached_columns[:, :first], 1 / self.prior[:first])
         wide = self._cached_columns[:, first:] * self.prior[first:]

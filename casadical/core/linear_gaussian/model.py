@@ -165,7 +165,8 @@ def axes_of_base(A: Array, weights: Array) -> tuple[Array, float]:
     A = np.concatenate([A, np.diag(weights)])
     # Scaled to unit columns, so that rank does not depend on the units of the parameters.
     scale = np.linalg.norm(A, axis=0)
-    Q, R = np.linalg.qr(A / scale)
+    A /= scale
+    Q, R = np.linalg.qr(A)
     return Q, 2 * float(np.log(np.abs(np.diag(R)) * scale).sum())
 
 

@@ -384,10 +384,7 @@ class CachedRows:
         return rows
 
     def add(self, columns: Array, rows: Array) -> None:
-        """Add the rows, shape (k, numbers), of k columns of these indices; none is cached yet.
-
-        They are not copied.
-        """
+        """Add the rows, not copied, (k, numbers), of k columns, none of which is cached yet."""
         if len(rows):
             self._parts.append(rows)
             self._starts = np.append(self._starts, self._starts[-1] + len(rows))

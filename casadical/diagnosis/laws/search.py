@@ -44,8 +44,8 @@ def ranked_laws(
 ) -> Round | None:
     """Return the ranking with laws; None where none can reach the log mass `needed` [nats].
 
-    None, too, where no state variable varies over the poses. A law that is an alias of a listed
-    effect reaches nothing: with `needed` its errors, and what is given it, are not computed.
+    None, too, where no state variable varies over the poses. With `needed` neither errors of a
+    law that is an alias nor what is given it are computed.
     chosen : indices of the columns in the model; skip : labels of their effects
     ranking : that of the other candidates
     """
