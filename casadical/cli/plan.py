@@ -30,7 +30,8 @@ MODE_OPTIONS = {
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
     "--touches": ("out", "room", "touches", "noise_mm", "seed"),
-    "--camera": ("n", "out", "room", "noise_mm", "view", "seed", "json_file"),
+    "--camera of a robot file": ("n", "out", "room", "noise_mm", "view", "seed", "json_file"),
+    "--camera of a folder": ("n", "out", "room", "seed", "json_file"),
 }
 
 
@@ -141,7 +142,8 @@ def plan(
     """
     from casadical.project.planning import circumstances_of, plan_problem, planned_with
 
-    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--camera": camera}
+    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
+    given[f"--camera of a {'folder' if problem.is_dir() else 'robot file'}"] = camera
     o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION_MODE), MODE_OPTIONS)
     if isolability:
         from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns

@@ -34,6 +34,7 @@ REFUSED = [
     ("plan problems/ur10e --iso9283 --repeats 2", "--repeats: is for poses to calibrate with"),
     (f"plan problems/ur10e {TABLE}", "POSES: is for --isolability"),
     ("plan problems/ur10e --touches 5 --json a.json", "not for --touches"),
+    ("plan problems/fr3_camera --camera --view 1,2,3,4", "--view: is for --camera of a robot file"),
     (f"verify problems/ur10e {TABLE} --mujoco --chart a.csv", "--chart: is for --touches"),
     (f"verify problems/ur10e {TABLE} --update a.toml", "--update: is for --touches"),
     ("verify problems/planar x.csv --seed 1", "--seed: is for --mujoco or --touches"),
