@@ -52,7 +52,7 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     # The most likely sigma of a draw may lie one grid step away.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
-    projections = [e.projected(float(RHO_GRID[k])) for k in rhos]
+    projections = [e.projection(float(RHO_GRID[k])) for k in rhos]
     white = [p.columns(E) for p in projections]
     groups = [_groups(case, columns) for columns in white]
     for first in range(0, draws, 500):  # some draws at once, which bounds memory

@@ -10,7 +10,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.statistics import first_of_best
-from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, SIGMA_GRID_M, Evidence
+from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
@@ -32,7 +32,7 @@ def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True)
     columns : indices of the causes' columns, rising, shape (k,); noise : assumed by the fit
     combined : whether the columns of a complete part are replaced by combinations (see `Combined`)
     """
-    return Fit(e, columns, noise.sigma, {REPEATABILITY: noise.repeatability / noise.sigma}, combined=combined)
+    return Fit(e, columns, noise.sigma, noise.repeatability / noise.sigma, combined=combined)
 
 
 def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:

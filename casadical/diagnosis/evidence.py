@@ -18,8 +18,8 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns, serial_columns
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS, marginals_of
-from casadical.core.linear_gaussian.model import LinearModel, Projection
-from casadical.core.linear_gaussian.noise import Grid, NoiseModel, SerialNoise
+from casadical.core.linear_gaussian.model import LinearModel
+from casadical.core.linear_gaussian.noise import SerialNoise, covariance_of
 from casadical.measurements.measurements import Noise
 
 # Grid of the instrument's standard deviation of one coordinate for likelihoods [m].
@@ -39,8 +39,6 @@ KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 # Standard deviation of a coordinate of the tool by joints that repeat to 0.1 mm (ISO 9283), the largest
 # figure of common data sheets: the mean plus three standard deviations of the distance are 3.62 of it.
 MAX_REPEATABILITY_M = 1e-4 / 3.62
-# Name of joint repeatability as a noise component (see `NoiseModel`).
-REPEATABILITY = "repeatability"
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,8 @@ class Evidence(LinearModel):
     log_noise : log prior of the noise on the grid, shape (rhos, sigmas)
     reference : noise standard deviation at which the prior standard deviations hold [m]; they are
         proportional to the noise
-    Jq : Jacobian by the joint variables, shape (n, 3, joints) [m per rad or m]
+    Jq : Jacobian by the joint variables, the sources of shared noise, shape (n, 3, joints) [m per rad
+        or m]
     noise_prior : prior information on the noise
     sigmas : grid of the instrument's standard deviation [m]
     size : factors from residuals to the reported error, (n, 3), zero for angles; None: ones
@@ -90,14 +89,14 @@ class Evidence(LinearModel):
         many parameters is in the model
     """
 
-    noise: NoiseModel = field(init=False)
-    grid: Grid = field(init=False)
     log_noise: Array | float = field(init=False, default=0.0)
     reference: float = 20e-6
     near: tuple[int, ...] = tuple(range(len(RHO_GRID)))
     Jq: Array = field(kw_only=True)
     noise_prior: NoisePrior = field(kw_only=True, default_factory=lambda: NoisePrior())
     sigmas: Array = field(kw_only=True, default_factory=lambda: SIGMA_GRID_M)
+    ratios: Array = field(kw_only=True, default_factory=lambda: RHO_GRID)
+    kappas: Array = field(kw_only=True, default_factory=lambda: KAPPA_GRID)
     size: Array | None = field(kw_only=True, default=None)
     stop: Array | None = field(kw_only=True, default=None)
     alike: Array | None = field(kw_only=True, default=None)
@@ -107,8 +106,6 @@ class Evidence(LinearModel):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "noise", joint_noise(self.Jq))
-        object.__setattr__(self, "grid", Grid(self.sigmas, {REPEATABILITY: RHO_GRID}, KAPPA_GRID))
         object.__setattr__(self, "log_noise", log_noise_prior(self, self.Jq))
 
     @property
@@ -124,14 +121,7 @@ class Evidence(LinearModel):
 
         It includes the instrument's noise and joint repeatability.
         """
-        return self.noise.covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
-
-    def projected(self, rho: float) -> Projection:
-        """Return the projection that whitens rows and makes them orthogonal to the base model.
-
-        rho : ratio of joint repeatability to sigma [rad/m]
-        """
-        return self.projection({REPEATABILITY: rho})
+        return covariance_of(self.Jq, noise.repeatability, noise.sigma)
 
     def at(self, blocks: Array) -> Self:
         """Return the model restricted to the poses with these indices."""
@@ -271,14 +261,6 @@ class BaseParameters:
         return replace(own, absorbed=own.absorbed_by_base), base
 
 
-def joint_noise(Jq: Array) -> NoiseModel:
-    """Return the noise model of white noise plus equal joint repeatability at every joint.
-
-    Jq : Jacobian by the joint variables, shape (n, 3, joints)
-    """
-    return NoiseModel((Jq.shape[0], Jq.shape[1]), {REPEATABILITY: Jq})
-
-
 def log_noise_prior(e: Evidence, Jq: Array) -> Array:
     """Return the log prior density of the noise, up to a constant, shape (rhos, sigmas).
 
@@ -290,8 +272,8 @@ def log_noise_prior(e: Evidence, Jq: Array) -> Array:
     Jq : Jacobian by the joint variables, shape (n, 3, joints)
     """
     scatter, freedom = e.noise_prior.repeats, e.noise_prior.freedom
-    noise = joint_noise(Jq)
-    mean = np.array([noise.mean_variance({REPEATABILITY: float(rho)}, max(e.count, 1)) for rho in RHO_GRID])
+    # Mean noise variance of the measured rows in units of sigma^2.
+    mean = 1 + RHO_GRID**2 * float((Jq**2).sum()) / max(e.count, 1)
     total = mean[:, None] * e.sigmas**2
     joints = e.noise_prior.lever * RHO_GRID[:, None] * e.sigmas
     log = -2.0 * (joints / MAX_REPEATABILITY_M) ** 2

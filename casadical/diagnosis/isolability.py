@@ -229,7 +229,7 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     """
     # The columns that are processed at once take 4 MB.
     step = max(1, 4_000_000 // (24 * len(evidence.r)))
-    projections = [evidence.projected(ratio) for ratio in (0.0, rho)]
+    projections = [evidence.projection(ratio) for ratio in (0.0, rho)]
     squares = []
     for first in range(0, evidence.width, step):
         E = evidence.take(np.arange(first, min(first + step, evidence.width)))
@@ -256,7 +256,7 @@ def _alike(
     # Effects are compared on at most 500 poses, evenly spaced.
     n = len(evidence.r)
     at_poses = evidence if n <= 500 else evidence.at(np.linspace(0, n - 1, 500).astype(int))
-    E = at_poses.projected(rho).columns(at_poses.take(used))
+    E = at_poses.projection(rho).columns(at_poses.take(used))
     which, widths = np.concatenate(columns), np.array([len(c) for c in columns])
     by_rival = np.empty((len(columns), len(which)))
     for width in np.unique(widths):

@@ -80,13 +80,13 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
             own = sines(case.m.q[indices, j - 1], range(3, 13))
             E.append((f"joint {j}", SETTINGS.unit_error * case.whole.Jq[indices][:, :, [j - 1]] * own[:, None]))
     some = remaining.at(np.searchsorted(np.flatnonzero(case.inliers), indices))
-    projection = some.projected(noise.repeatability / noise.sigma)
+    projection = some.projection(noise.repeatability / noise.sigma)
     axes = case.base.units / case.base.prior[:, None]
     axes = axes / np.linalg.norm(axes, axis=0)
     every, edges = np.concatenate([e for _, e in E], axis=2), np.cumsum([0, *(e.shape[2] for _, e in E)])
     white, plain = (
         [rows[:, a:b] for a, b in itertools.pairwise(edges)]
-        for rows in (projection.columns(every), some.projected(0.0).columns(every))
+        for rows in (projection.columns(every), some.projection(0.0).columns(every))
     )
     signal = dict[str, Array]()
     for (part, _), g, values in zip(E, plain, _draws(projection.y, white, noise.sigma, axes, rng), strict=True):
@@ -131,7 +131,7 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
         signal[part] = signal.get(part, 0.0) + S[:, :, variable, None] * drawn[:, None]
     # Rows are whitened without joint repeatability, so that the squares are those of position
     # errors.
-    projection = some.projected(0.0)
+    projection = some.projection(0.0)
     squares = _mean_squares([projection.columns(drawn) for drawn in signal.values()], some, rng)
     return dict(zip(signal, squares, strict=True)), replace(e, r=remaining)
 

@@ -18,9 +18,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
+from casadical.core.linear_gaussian.noise import covariance_of
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise, new_fit
-from casadical.diagnosis.evidence import KAPPA_WEIGHTS, REPEATABILITY, joint_noise
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation, linearise
 from casadical.diagnosis.result import Diagnosis
@@ -49,11 +50,6 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     # The prior standard deviation of a cause's parameters is two sizes.
     fit = new_fit(replace(old, cause_prior=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
     return new @ fit.x, new @ fit.root.T
-
-
-def noise_covariance_at(noise: Noise, poses: Linearisation) -> Array:
-    """Return the covariance of the measured position's noise at K new poses, (K, 3, 3) [m^2]."""
-    return joint_noise(poses.Jq).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
 
 class Predictive:
@@ -197,7 +193,7 @@ def next_poses(
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
     drawn = later_poses(case.robot, case.m, case.inliers, columns, pool, seed, workspace, payloads)
     poses = linearise(case.given, drawn.m, case.values)
-    noise_there = noise_covariance_at(noise, poses)
+    noise_there = covariance_of(poses.Jq, noise.repeatability, noise.sigma)
     models = [(c.label, Predictive(*predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]

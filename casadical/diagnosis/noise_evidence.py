@@ -13,10 +13,10 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, as_slice, serial_columns
 from casadical.core.linear_gaussian.marginals import POINT_LOG_EVIDENCE_WINDOW
-from casadical.core.linear_gaussian.noise import Axes, NoiseModel, SerialNoise, serial_noise
+from casadical.core.linear_gaussian.noise import Axes, SerialNoise, axes_of, covariance_of, serial_noise, whitening_of
 from casadical.core.linear_gaussian.normal_equations import Joined, joined_base
 from casadical.core.statistics import first_of_best
-from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence, joint_noise, log_noise_prior
+from casadical.diagnosis.evidence import RHO_GRID, Evidence, log_noise_prior
 
 # Number of columns from which a gain is estimated first: the evidence of fewer takes no longer.
 MIN_ESTIMATED_COLUMNS = 100
@@ -121,7 +121,7 @@ class Problem:
         # Estimates of each form by point of the grid, and the fits under white noise.
         self._estimates: dict[Form, dict[int, Array]] = {}
         self._white: dict[int, Joined] = {}
-        self._noise_of: dict[Form, tuple[NoiseModel, Axes, Array]] = {}
+        self._noise_of: dict[Form, tuple[Array, Axes, Array]] = {}
 
     def log_likelihood(self, form: Form) -> Array:
         """Return the log likelihood under a form of noise, shape (rhos, sigmas).
@@ -194,13 +194,12 @@ class Problem:
         before, after = np.logaddexp.reduce(logs.reshape(2, -1), axis=1)
         return float(after - before + form.log_weight)
 
-    def _noise(self, form: Form) -> tuple[NoiseModel, Axes, Array]:
-        """Return the noise of a form, its axes and its log prior on the grid, (rhos, sigmas)."""
+    def _noise(self, form: Form) -> tuple[Array, Axes, Array]:
+        """Return a form's Jacobian by the joints, axes and log prior on the grid, (rhos, sigmas)."""
         if form not in self._noise_of:
             Jq = self.e.Jq[self._order]
-            noise = joint_noise(form.repeatability(Jq if form.axes is None else form.axes @ Jq))
-            (axes,) = noise.axes(self.e.grid.ratios)
-            self._noise_of[form] = noise, axes, log_noise_prior(self.e, noise.components[REPEATABILITY])
+            Jq = form.repeatability(Jq if form.axes is None else form.axes @ Jq)
+            self._noise_of[form] = Jq, axes_of(Jq, self.e.ratios), log_noise_prior(self.e, Jq)
         return self._noise_of[form]
 
     def _unexplained(self, x: Array) -> Array:
@@ -244,7 +243,7 @@ class Problem:
         rho : index of the repeatability ratio in `RHO_GRID`
         """
         self.log_likelihood(form)
-        W, _ = self._noise(form)[0].whitening({REPEATABILITY: float(RHO_GRID[rho])})
+        W, _ = whitening_of(covariance_of(self._noise(form)[0], float(RHO_GRID[rho])))
         r = self._unexplained(self._estimates[form][rho])
         r = r if form.axes is None else (form.axes @ r[:, :, None])[:, :, 0]
         return np.asarray((W @ form.serial(len(r)).whiten(r)[:, :, None])[:, :, 0])

@@ -21,10 +21,10 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import axes_of_base
+from casadical.core.linear_gaussian.noise import covariance_of, whitening_of
 from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import residual_of_fit_without
-from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.settings import SETTINGS
@@ -154,8 +154,8 @@ class _WhitenedResidual:
         self._form = form if form.scale is None else replace(form, scale=form.scale[self.pick])
         self._m, self.at = m[inliers[order]], inliers[order[self.pick]]
         self.e = e = case.evidence.at(order[self.pick])
-        repeat = joint_noise(self._form.repeatability(e.Jq))
-        self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma})[0] / noise.sigma
+        C = covariance_of(self._form.repeatability(e.Jq), noise.repeatability / noise.sigma)
+        self._W = whitening_of(C)[0] / noise.sigma
         # Orthonormal basis of what a fit with priors absorbs.
         whole = e.with_base(columns)
         A = self.rows(whole.J)

@@ -319,7 +319,7 @@ def _change(
     if other:
         rivals[other] = Rival(other, "jump", change.since, chance)
     given, columns = _given(model, accepted)
-    values, errors = Fit(given, columns, 1.0, given.grid.at(0)).causes
+    values, errors = Fit(given, columns, 1.0, 1.0).causes
     places = np.searchsorted(columns, change.group)
     values, errors = (x[places] * np.resize(change.candidate.sizes, len(places)) for x in (values, errors))
     if change.candidate.kind == "lengths":
@@ -339,7 +339,7 @@ def _change(
     given, columns = _given(model, [a for i, a in enumerate(accepted) if i != k])
     given = given.with_base(columns)
     given = replace(given, E=array_columns(alone), cause_prior=np.full(n - 1, 100.0))
-    by_campaign = Fit(given, np.arange(n - 1), 1.0, given.grid.at(0)).causes
+    by_campaign = Fit(given, np.arange(n - 1), 1.0, 1.0).causes
     return Change(
         change.candidate,
         change.course,
@@ -371,7 +371,7 @@ def _detectable_sizes(
             others = [a for a in accepted if a not in alone or {*a.candidate.names}.isdisjoint(c.names)]
             given, columns = _given(model, others)
             given = replace(given.with_base(columns), cause_prior=np.full(model.width, 1e3))
-            _, (error,) = Fit(given, h.group, 1.0, given.grid.at(0)).causes
+            _, (error,) = Fit(given, h.group, 1.0, 1.0).causes
             # A change is detected from roughly five standard errors on, because it competes with
             # about a hundred candidates. One of 30 times its usual size counts as not detectable.
             size, p = 5.0 / np.sqrt(max(error**-2.0 - 1e-6, 1e-30)), first.robot.parameters[c.names[0]]
@@ -388,7 +388,7 @@ def _placements(
     measured point on the flange of a tool of the same name, and the base, unless it did not move.
     """
     first, (before, after) = campaigns[0], campaigns[-2:]
-    fit = Fit(model, columns, 1.0, model.grid.at(0))
+    fit = Fit(model, columns, 1.0, 1.0)
     # A campaign's shared parameters from the solved ones, theta and the changes so far.
     moved = model.E.factors(columns=columns).columns_at(np.broadcast_to(np.eye(len(names)), model.J.shape))
 

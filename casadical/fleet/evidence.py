@@ -24,7 +24,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Factors, MemoryLimits, factor_columns
 from casadical.core.linear_gaussian.model import LinearModel
-from casadical.core.linear_gaussian.noise import Grid, NoiseModel
 from casadical.core.parameters import Parameter
 from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.robot import Robot, with_joint_harmonics
@@ -222,11 +221,11 @@ def model_of_campaigns(
             made[parameter].append(each.reshape(-1, n))
     parts = [(k, np.concatenate(acting[k]), np.concatenate(made[k])) for k in range(p)]
     E = factor_columns(Factors(tuple(part for part in parts if len(part[1])), width), R)
-    noise = NoiseModel((n, p), {"daily": R @ daily(candidates)})
-    grid = Grid(np.ones(1), {"daily": np.ones(1)}, KAPPAS)
     # Many campaigns have tens of thousands of columns, so that few blocks are added up at a time.
     memory = MemoryLimits(column_bytes=16_000_000, min_blocks=1)
-    return LinearModel(r, R, np.zeros(p), spread, E, noise, grid, reference=1.0, memory=memory), groups
+    grid = np.ones(1), np.ones(1), KAPPAS
+    model = LinearModel(r, R, np.zeros(p), spread, E, R @ daily(candidates), *grid, reference=1.0, memory=memory)
+    return model, groups
 
 
 def jumps(n: int) -> Array:

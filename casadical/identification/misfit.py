@@ -13,7 +13,7 @@ from functools import partial, reduce
 import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array, InputError
-from casadical.core.linear_gaussian.noise import NoiseModel
+from casadical.core.linear_gaussian.noise import covariance_of, whitening_of
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.core.statistics import first_of_best
 from casadical.identification.identifiability import scaled_inverse
@@ -273,8 +273,7 @@ def _normal_equations(
     sums_of: dict[int, NormalSums] = {}
     spread, done = 0.0, 0
     for r, J, Jq, U in poses:
-        joints = NoiseModel(r.shape, {"repeatability": Jq})
-        W, log_det = joints.whitening({"repeatability": np.array(rhos)})
+        W, log_det = whitening_of(covariance_of(Jq, np.array(rhos)))
         white, Jw, seen = _without_points((W @ r[:, :, None])[:, :, 0], W @ J, W @ U)
         spread += 0.5 * log_det + seen
         own = np.zeros(len(white), dtype=int) if part is None else part[done : done + len(white)]

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array, InputError
-from casadical.core.linear_gaussian.noise import NoiseModel
+from casadical.core.linear_gaussian.noise import covariance_of
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import Unidentifiable, drop_poor
@@ -410,9 +410,8 @@ def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
 
     It is the sum of the instrument's and of the joint repeatability's, in the measuring frame.
     """
-    joints = {"repeatability": joint_jacobian(robot, m)} if noise.repeatability else {}
-    ratios = dict.fromkeys(joints, noise.repeatability / M_PER_MM)
-    return NoiseModel((len(m), 3), joints).covariance(ratios, noise.sigma / M_PER_MM)
+    Jq = joint_jacobian(robot, m) if noise.repeatability else np.zeros((len(m), 3, 0))
+    return covariance_of(Jq, noise.repeatability / M_PER_MM, noise.sigma / M_PER_MM)
 
 
 def independent(

@@ -10,6 +10,7 @@ from cases import case, robot
 from scipy.linalg import block_diag
 
 from casadical import InputError, identify
+from casadical.core.linear_gaussian.noise import covariance_of
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.linearisation import linearise
@@ -18,7 +19,6 @@ from casadical.diagnosis.next_poses import (
     Predictive,
     causes_in_question,
     next_poses,
-    noise_covariance_at,
     predict_cause,
 )
 from casadical.identification.accuracy import predicted
@@ -98,7 +98,7 @@ def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) ->
     pool = later_poses(doubtful.robot, doubtful.m, doubtful.inliers, columns, 400, 5).m
     there = linearise(doubtful.given, pool, doubtful.values)
     found = [(cause.label, predict_cause(doubtful, cause.variant, least, there)) for cause in causes]
-    noise = noise_covariance_at(least, there)
+    noise = covariance_of(there.Jq, least.repeatability, least.sigma)
     rng = np.random.default_rng(0)
     chance = [rng.choice(len(pool), 8, replace=False).tolist() for _ in range(40)]
     pairs = [(p, r) for a, p in found for b, r in found if a < b]

@@ -83,7 +83,7 @@ def test_a_change_along_a_known_one_keeps_its_digits() -> None:
     known, sizes = np.stack([np.zeros((5, 5)), np.eye(5)]), [np.full(5, 0.5), np.ones(1)]
     each = [Candidate("link", 1, (), np.eye(5)[:, -len(size) :], size) for size in sizes]
     model, _ = model_of_campaigns(H, score, np.full(5, 2.0), each, [(change, jumps(2)) for change in each])
-    value, error = Fit(replace(model, cause_prior=np.ones(6)), np.arange(6), 1.0, {"daily": 1.0}).causes
+    value, error = Fit(replace(model, cause_prior=np.ones(6)), np.arange(6), 1.0, 1.0).causes
     X = np.concatenate([np.stack([np.eye(5)] * 2), known, np.stack([np.zeros((5, 1)), np.eye(5)[:, 4:]])], axis=2)
     whole = np.einsum("nai,nab,nbj->ij", X, H, X) + np.diag([0.25] * 5 + [4.0] * 5 + [0.0])
     rows = [[*map(Fraction, row), Fraction(s)] for row, s in zip(whole, np.einsum("nai,na->i", X, score), strict=True)]

@@ -4,13 +4,13 @@ It knows nothing of robots. Rows come in blocks (the numbers measured at one pos
 one window), n blocks of m rows; the noise of different blocks is independent. The residual is
 
     r = J delta + E theta + noise,
-    in each block noise ~ N(0, sigma^2 (I + sum_k rho_k^2 A_k A_k')),
+    in each block noise ~ N(0, sigma^2 (I + rho^2 Jq Jq')),
 
 with a few base parameters delta ~ N(delta0, diag(prior^2)) and very many columns E, of which groups
 are judged as causes. Blocks with fewer rows than m are padded with rows of zeros.
 
-- `noise`: the noise components, their covariance and whitening; AR(1) noise; the grid of sigma, rho
-  and the effect size kappa
+- `noise`: the covariance of the noise and its whitening; AR(1) noise; the gain in log likelihood on a
+  grid of sigma and the effect size kappa
 - `columns`: the columns E, computed some blocks at a time, and their combinations
 - `normal_equations`: normal sums of whitened rows; parameters that are added to a model
 - `model`: `LinearModel`, the user's input

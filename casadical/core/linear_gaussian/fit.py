@@ -1,6 +1,5 @@
 """Estimates at one noise level: base and some columns fitted to all blocks, or to some of them."""
 
-from collections.abc import Mapping
 from functools import cached_property, reduce
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Combined
 from casadical.core.linear_gaussian.model import LinearModel, axes_of_base
-from casadical.core.linear_gaussian.noise import Ratio
+from casadical.core.linear_gaussian.noise import covariance_of, whitening_of
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, root_of_inverse
 
 
@@ -18,7 +17,7 @@ class Fit:
     model : linear-Gaussian model of n blocks of m rows
     columns : indices of the columns in the fit, rising
     sigma : standard deviation of the white noise, in the unit of the residual
-    ratios : standard deviation of each noise component divided by sigma, by name
+    ratio : standard deviation of the sources of noise divided by sigma
     combined : the columns, those of complete parts replaced by combinations (see `Combined`); as an
         argument, whether they are replaced
     y : whitened residual, shape (n m,)
@@ -30,12 +29,12 @@ class Fit:
     """
 
     def __init__(
-        self, model: LinearModel, columns: Array, sigma: float, ratios: Mapping[str, Ratio], *, combined: bool = True
+        self, model: LinearModel, columns: Array, sigma: float, ratio: float, *, combined: bool = True
     ) -> None:
         self._base, self._E, self._columns = model.J, model.E, columns
         self.rows_per_block, self._memory = model.r.shape[1], model.memory
         self.combined = model.combined(columns) if combined else Combined(((0, len(columns), None),))
-        self.W = model.noise.whitening(ratios)[0] / sigma
+        self.W = whitening_of(covariance_of(model.Jq, ratio))[0] / sigma
         self.y = (self.W @ model.r[:, :, None]).ravel()
         self._widths = model.cause_prior_sigmas[columns]
         self.prior = np.concatenate([model.prior, self.combined.per_combination(self._widths)])

@@ -100,8 +100,7 @@ class Marginals:
         also : indices of columns that are in the model already and are treated like the base
         """
         model, chosen = self.model, self._model_with(also)
-        grid = model.grid
-        out = np.full((len(groups), grid.points, len(grid.sigmas), len(grid.kappas)), -np.inf)
+        out = np.full((len(groups), *map(len, (model.ratios, model.sigmas, model.kappas))), -np.inf)
         if not groups:
             return out
         spectra, widths = self._spectra(groups, chosen), np.array([len(g) for g in groups])
@@ -116,7 +115,7 @@ class Marginals:
             value, projected = (np.stack([own[i] for own in some]) for i in (2, 3))
             for i, k in enumerate(model.near):
                 own, most = (value[:, i], projected[:, i]), chosen.at[k].square
-                out[which, k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], *own, most)
+                out[which, k] = log_gain(model.sigmas, model.kappas, chosen.log_base[k], *own, most)
         return out
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
@@ -181,7 +180,7 @@ class Marginals:
     def _log_base_of(self, at: dict[int, Joined]) -> Array:
         """Return `Chosen.log_base` of a model; at : as of `Chosen`."""
         model = self.model
-        log_base = np.full((model.grid.points, len(model.grid.sigmas)), -np.inf)
+        log_base = np.full((len(model.ratios), len(model.sigmas)), -np.inf)
         log_noise = np.broadcast_to(model.log_noise, log_base.shape)
         for k, own in at.items():
             log_base[k] = model.log_over_sigmas(own.square, own.log_norm) + log_noise[k]
@@ -273,7 +272,7 @@ class Marginals:
         group : indices of its columns; out : shape (points, sigmas, kappas)
         narrow : largest log likelihood with a group of few columns, shape (points,)
         """
-        near, grid = self.model.near, self.model.grid
+        near, model = self.model.near, self.model
         base = chosen.log_base[list(near)].max(axis=1)
         best = int(np.argmax(np.maximum(base, narrow[list(near)])))
         # Ratios of the noise differ by less than a quarter of a nat a number.
@@ -285,7 +284,7 @@ class Marginals:
                 k = near[i]
                 value, projected = self._spectrum(group, chosen, k)
                 own = value[None], projected[None]
-                out[k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], *own, chosen.at[k].square)[0]
+                out[k] = log_gain(model.sigmas, model.kappas, chosen.log_base[k], *own, chosen.at[k].square)[0]
                 if self.model.r.size < self.model.combined(group).width:
                     out[k] -= loss_of_finer_noise(self.model, chosen.log_base[k])[:, None]
                 if out[k].max() < top - POINT_LOG_EVIDENCE_WINDOW:
@@ -309,7 +308,7 @@ class Marginals:
             return self._wide[key]
         # With fewer rows than columns, the smaller matrix of the rows is decomposed.
         if self.model.r.size < every.width:
-            projection = self.model.with_base(chosen.columns).projection(self.model.grid.at(k))
+            projection = self.model.with_base(chosen.columns).projection(float(self.model.ratios[k]))
             E = projection.columns(self.model.take(group))
             value, vector = np.linalg.eigh(E @ E.T)
             self._wide[key] = value, np.sqrt(np.maximum(value, 0.0)) * (vector.T @ projection.y)
@@ -363,6 +362,6 @@ def loss_of_finer_noise(model: LinearModel, log_base: Array) -> Array:
     log_base : log likelihood without the cause, shape (sigmas, ...), which is also the shape
         returned
     """
-    sigmas = model.grid.sigmas.reshape(-1, *[1] * (log_base.ndim - 1))
-    finer = np.log(model.grid.sigmas[np.argmax(log_base, axis=0)] / sigmas)
+    sigmas = model.sigmas.reshape(-1, *[1] * (log_base.ndim - 1))
+    finer = np.log(model.sigmas[np.argmax(log_base, axis=0)] / sigmas)
     return np.asarray((model.absorbed_by_base - model.absorbed) * np.maximum(finer, 0.0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -11,7 +10,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Combined, MemoryLimits, array_columns, combined
-from casadical.core.linear_gaussian.noise import Grid, NoiseModel, Ratio
+from casadical.core.linear_gaussian.noise import covariance_of, whitening_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +25,11 @@ class LinearModel:
     delta0, prior : prior mean and standard deviation of delta, shape (P,)
     E : columns of the candidates, per typical size of their parameters theta; an array, shape (n,
         m, columns), becomes `Columns`
-    noise : noise components
-    grid : noise levels, noise ratios and effect sizes at which likelihoods are computed
+    Jq : derivative of the rows by sources of noise that the rows of a block share, shape (n, m,
+        sources)
+    sigmas : grid of the standard deviation of the white noise, rising, in the unit of the residual
+    ratios : grid of the sources' standard deviation divided by sigma, shape (points,)
+    kappas : grid of the prior standard deviation of a cause's parameters in typical sizes, rising
     reference : sigma at which the priors of delta are as given; they scale with sigma
     cause_prior : prior standard deviation of each theta once it is in the model, in typical sizes,
         shape (columns,); None: eight for all
@@ -45,8 +47,10 @@ class LinearModel:
     delta0: Array
     prior: Array
     E: Columns
-    noise: NoiseModel
-    grid: Grid
+    Jq: Array
+    sigmas: Array
+    ratios: Array
+    kappas: Array
     reference: float
     cause_prior: Array | None = None
     measured: Array | None = None
@@ -57,7 +61,7 @@ class LinearModel:
     cache: dict[object, Any] = field(init=False, repr=False, default_factory=dict)
 
     # Names of the fields, other than E, that have one entry for each block.
-    BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "noise", "measured")
+    BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "Jq", "measured")
 
     def __post_init__(self) -> None:
         columns: Any = self.E
@@ -83,9 +87,7 @@ class LinearModel:
     def at(self, blocks: Array) -> Self:
         """Return the model of some of the blocks, given by their indices or a mask."""
         given = ((name, getattr(self, name)) for name in self.BY_BLOCK)
-        some: dict[str, Any] = {
-            k: v.at(blocks) if isinstance(v, NoiseModel) else v[blocks] for k, v in given if v is not None
-        }
+        some: dict[str, Any] = {k: v[blocks] for k, v in given if v is not None}
         return replace(self, E=self.E.at(blocks), **some)
 
     def combined(self, columns: Array) -> Combined:
@@ -138,15 +140,15 @@ class LinearModel:
         square : squared norm of the residual, whitened for sigma = 1
         log_norm : term of the log likelihood that does not depend on sigma
         """
-        sigmas = self.grid.sigmas
-        return np.asarray(log_norm - (self.count - self.absorbed) * np.log(sigmas) - 0.5 * square / sigmas**2)
+        freedom = self.count - self.absorbed
+        return np.asarray(log_norm - freedom * np.log(self.sigmas) - 0.5 * square / self.sigmas**2)
 
-    def projection(self, ratios: Mapping[str, Ratio]) -> Projection:
+    def projection(self, ratio: float) -> Projection:
         """Return the projection that whitens rows and makes them orthogonal to the base.
 
-        ratios : standard deviation of each noise component divided by sigma, by name
+        ratio : standard deviation of the sources of noise divided by sigma
         """
-        W, log_det = self.noise.whitening(ratios)
+        W, log_det = whitening_of(covariance_of(self.Jq, ratio))
         weights = self.reference / self.prior
         Q, log_det_of_base = axes_of_base((W @ self.J).reshape(self.r.size, -1), weights)
         y = np.concatenate([(W @ self.r[:, :, None]).ravel(), weights * self.delta0])

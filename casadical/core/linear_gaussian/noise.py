@@ -1,29 +1,23 @@
-"""Noise of rows in blocks: white noise, components that rows of a block share, and AR(1) noise.
+"""Noise of rows in blocks: white noise, noise that the rows of a block share, and AR(1) noise.
 
-A block's covariance is sigma^2 (I + sum_k rho_k^2 A_k A_k'): component k has sources (for example
-the joints of a robot) whose independent deviations of standard deviation rho_k sigma reach the rows
-through A_k. Autocorrelated noise (`SerialNoise`) is a first-order autoregressive process over the
-blocks. A `Grid` has noise levels, noise ratios and effect sizes; `log_gain` is the gain in log
-likelihood over it.
+A block's covariance is sigma^2 (I + rho^2 Jq Jq'): sources (for example the joints of a robot),
+whose independent deviations of standard deviation rho sigma reach the rows through Jq.
+Autocorrelated noise (`SerialNoise`) is a first-order autoregressive process over the blocks.
+`log_gain` is the gain in log likelihood over a grid of noise levels and effect sizes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from casadical.core.basics import Array
 
-# Standard deviation of a noise component's sources divided by sigma: one number for all of them, or
-# one each, shape (sources,).
-Ratio = float | Array
-
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """Eigenvectors of each block's noise covariance, common to several points of the noise grid.
+    """Eigenvectors of each block's noise covariance, common to all points of the noise grid.
 
-    points : indices of these grid points, rising
     rotation : eigenvectors as columns, shape (n, m, m)
     precision : inverse variance along each eigenvector in units of 1 / sigma^2, shape (points, n,
         m)
@@ -31,21 +25,14 @@ class Axes:
     plain : whether there is white noise only, so that rows need no rotation
     """
 
-    points: tuple[int, ...]
     rotation: Array
     precision: Array
     log_det: Array
     plain: bool = False
 
     def at(self, points: Sequence[int]) -> "Axes":
-        """Return the same eigenvectors for those of the grid points that are among `points`."""
-        own = [i for i, k in enumerate(self.points) if k in points]
-        return replace(
-            self,
-            points=tuple(self.points[i] for i in own),
-            precision=self.precision[own],
-            log_det=self.log_det[own],
-        )
+        """Return the same eigenvectors for the points with these indices."""
+        return replace(self, precision=self.precision[points], log_det=self.log_det[points])
 
     def rotated(self, rows: Array, blocks: slice = slice(None)) -> Array:
         """Return rows of some blocks in the eigenbasis, shape (k, m, columns).
@@ -57,78 +44,28 @@ class Axes:
         return np.asarray(self.rotation[blocks].transpose(0, 2, 1) @ rows)
 
 
-@dataclass(frozen=True, eq=False)
-class NoiseModel:
-    """White noise and components of n blocks of m rows.
+def axes_of(Jq: Array, ratios: Array) -> Axes:
+    """Return the eigenbasis of the noise covariance, common to all ratios, shape (points,).
 
-    shape : (n, m)
-    components : derivative A of the rows by the sources of each component, by its name, shape (n,
-        m, sources)
+    Jq : derivative of the rows by the sources of noise, shape (n, m, sources)
     """
-
-    shape: tuple[int, int]
-    components: Mapping[str, Array]
-
-    def at(self, blocks: Array | slice) -> "NoiseModel":
-        """Return the noise model of some of the blocks, given by indices, a mask or a slice."""
-        components = {name: A[blocks] for name, A in self.components.items()}
-        return NoiseModel((len(np.arange(self.shape[0])[blocks]), self.shape[1]), components)
-
-    def covariance(self, ratios: Mapping[str, Ratio], white: float = 1.0) -> Array:
-        """Return the noise covariance of each block, shape (n, m, m), in units of sigma^2.
-
-        Given standard deviations in place of `ratios` and `white`, the result is in their unit
-        squared.
-
-        ratios : standard deviation of each component's sources divided by sigma, by name
-        white : standard deviation of the white noise divided by sigma
-        """
-        n, m = self.shape
-        total = np.tile(white**2 * np.eye(m), (n, 1, 1))
-        for name, ratio in ratios.items():
-            A = self.components[name] * ratio
-            total += A @ A.transpose(0, 2, 1)
-        return total
-
-    def whitening(self, ratios: Mapping[str, Ratio]) -> tuple[Array, float]:
-        """Return matrices, (n, m, m), that whiten to the variance sigma^2, and a log determinant.
-
-        ratios : as of `covariance`. The determinant is that of all blocks (see `whitening_of`).
-        """
-        return whitening_of(self.covariance(ratios))
-
-    def axes(self, ratios: Mapping[str, Array]) -> list[Axes]:
-        """Return the eigenbases of the noise covariance for all points of a grid.
-
-        A single component has the same eigenvectors at every ratio, so that there is one entry for
-        all points; with several components every point has its own.
-
-        ratios : ratios of each component at the points, by its name, shape (points,) each
-        """
-        count = len(next(iter(ratios.values()))) if ratios else 1
-        if len(ratios) > 1:
-            at = [{name: float(values[k]) for name, values in ratios.items()} for k in range(count)]
-            return [_axes(self.covariance(at[k], white=0.0), [k], np.ones(1)) for k in range(count)]
-        each = [self.covariance({name: 1.0}, white=0.0) for name in ratios] or [self.covariance({}, white=0.0)]
-        return [_axes(each[0], range(count), np.concatenate([*ratios.values(), np.zeros(0 if ratios else 1)]))]
-
-    def mean_variance(self, ratios: Mapping[str, float], rows: float) -> float:
-        """Return the mean noise variance of the measured rows in units of sigma^2.
-
-        ratios : as of `covariance`; rows : number of measured rows
-        """
-        return 1 + sum(ratio**2 * float((self.components[k] ** 2).sum()) for k, ratio in ratios.items()) / rows
-
-
-def _axes(shared: Array, points: Sequence[int], ratios: Array) -> Axes:
-    """Return the eigenbasis of the covariances I + ratio^2 * shared, common to all ratios.
-
-    shared : shape (n, m, m)
-    points : indices of the grid points, one for each of `ratios`, shape (points,)
-    """
+    shared = covariance_of(Jq, 1.0, 0.0)
     square, rotation = np.linalg.eigh(shared)
     variance = np.multiply.outer(ratios**2, np.maximum(square, 0.0))
-    return Axes(tuple(points), rotation, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
+    return Axes(rotation, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
+
+
+def covariance_of(Jq: Array, ratio: float | Array, white: float = 1.0) -> Array:
+    """Return the noise covariance of each block, shape (n, m, m), in units of sigma^2.
+
+    Given standard deviations in place of `ratio` and `white`, the result is in their unit squared.
+
+    Jq : derivative of the rows by the sources of noise, shape (n, m, sources)
+    ratio : standard deviation of the sources divided by sigma, or one of each, shape (sources,)
+    white : standard deviation of the white noise divided by sigma
+    """
+    A = Jq * ratio
+    return np.asarray(white**2 * np.eye(Jq.shape[1]) + A @ A.transpose(0, 2, 1))
 
 
 def whitening_of(covariance: Array) -> tuple[Array, float]:
@@ -199,31 +136,6 @@ def serial_noise(ar_coefficient: Array | float, first: Array, weight: Array | fl
 # Largest difference of log likelihoods [nats] by which a sigma of the grid may be below the maximum
 # of a group of columns; sigmas beyond it for all groups of a call are skipped.
 SIGMA_LOG_LIKELIHOOD_WINDOW = 40.0
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Grid over which the likelihood of a model is computed and integrated.
-
-    sigmas : standard deviations of the white noise, rising, in the unit of the residual
-    ratios : standard deviation of each noise component divided by sigma, by the component's name,
-        shape (points,) each; a point of the grid is one combination of them
-    kappas : prior standard deviations of a cause's parameters in units of their typical sizes,
-        rising
-    """
-
-    sigmas: Array
-    ratios: Mapping[str, Array]
-    kappas: Array
-
-    @property
-    def points(self) -> int:
-        """Return the number of combinations of noise ratios."""
-        return len(next(iter(self.ratios.values()))) if self.ratios else 1
-
-    def at(self, point: int) -> dict[str, float]:
-        """Return the noise ratios of one grid point, by component."""
-        return {name: float(values[point]) for name, values in self.ratios.items()}
 
 
 def log_gain(

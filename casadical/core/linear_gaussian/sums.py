@@ -16,7 +16,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Factors, as_slice, combined
 from casadical.core.linear_gaussian.model import LinearModel
-from casadical.core.linear_gaussian.noise import Axes
+from casadical.core.linear_gaussian.noise import Axes, axes_of
 
 # Largest number of columns of a narrow group. The Gram matrices of narrow groups are accumulated
 # together at all grid points, those of wider ones one by one.
@@ -46,31 +46,24 @@ class GridSums:
         self._given, width = (model.J, model.r[:, :, None]), model.J.shape[2] + 1
         if same:
             places = [same.near.index(k) for k in self.near]
-            self.log_det: Array = same.log_det[places]
+            self._axes: Axes = same._axes.at(places)
             self.base: Array = same.base[places]
-        every = [axes for axes, _ in same._axes] if same else model.noise.axes(model.grid.ratios)
-        # Each eigenbasis has a slice of the points `near`.
-        self._axes: list[tuple[Axes, slice]] = []
-        for axes in (a.at(self.near) for a in every if not {*self.near}.isdisjoint(a.points)):
-            first = self.near.index(axes.points[0])
-            self._axes.append((axes, slice(first, first + len(axes.points))))
-        if not same:
-            self.log_det = np.concatenate([axes.log_det for axes, _ in self._axes])
+        else:
+            self._axes = axes_of(model.Jq, model.ratios[[*self.near]])
             self.base = np.zeros((len(self.near), width, width))
-        for blocks in () if same else self._slices(width):
-            for axes, points in self._axes:
-                rotated = self._rotated_base(axes, blocks)
-                roots = np.sqrt(axes.precision[:, blocks, :, None])
-                for total, root in zip(self.base[points], roots, strict=True):
-                    white = (rotated * root).reshape(-1, width)
+            for blocks in self._slices(width):
+                rotated = self._rotated_base(blocks)
+                for total, precision in zip(self.base, self._axes.precision, strict=True):
+                    white = (rotated * np.sqrt(precision[blocks, :, None])).reshape(-1, width)
                     total += white.T @ white
+        self.log_det = self._axes.log_det
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
         self._cross: dict[tuple[int, int, int], CachedRows] = {}
 
-    def _rotated_base(self, axes: Axes, blocks: slice) -> Array:
+    def _rotated_base(self, blocks: slice) -> Array:
         """Return base columns and residual of some blocks in the eigenbasis, (blocks, m, P + 1)."""
-        return axes.rotated(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
+        return self._axes.rotated(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
 
     @cached_property
     def columns(self) -> list[CachedRows]:
@@ -151,18 +144,17 @@ class GridSums:
         E = self.E.only(used)
         for blocks in self._slices(3 * E.shape[2]):  # of copies of the columns
             F, levers = E.factors(blocks), E.levers(blocks)
-            for axes, points in self._axes:
-                for rows, columns, by_column in _by_rows(F, axes.rotated(levers, blocks)):
-                    weights = axes.precision[:, blocks, rows].transpose(0, 2, 1).reshape(len(axes.points), -1)
-                    place = np.full(len(used), len(columns))  # the index past the last column is a column of zeros
-                    place[columns] = np.arange(len(columns))
-                    for w, which in stacks.items():
-                        there = place[np.searchsorted(used, which)]
-                        acts = np.flatnonzero((there < len(columns)).any(axis=1))
-                        part = by_column[there[acts]]
-                        for total, weight in zip(totals[w][points], weights, strict=True):
-                            scaled = part * np.sqrt(weight)
-                            total[acts] += scaled @ scaled.transpose(0, 2, 1)
+            for rows, columns, by_column in _by_rows(F, self._axes.rotated(levers, blocks)):
+                weights = self._axes.precision[:, blocks, rows].transpose(0, 2, 1).reshape(len(self.near), -1)
+                place = np.full(len(used), len(columns))  # the index past the last column is a column of zeros
+                place[columns] = np.arange(len(columns))
+                for w, which in stacks.items():
+                    there = place[np.searchsorted(used, which)]
+                    acts = np.flatnonzero((there < len(columns)).any(axis=1))
+                    part = by_column[there[acts]]
+                    for total, weight in zip(totals[w], weights, strict=True):
+                        scaled = part * np.sqrt(weight)
+                        total[acts] += scaled @ scaled.transpose(0, 2, 1)
         for w, which in stacks.items():
             for i, g in enumerate(which):
                 self._own[g.tobytes()] = totals[w][:, i]
@@ -256,17 +248,15 @@ class GridSums:
         total = np.zeros((E.shape[2], len(self.near), numbers))
         for blocks in self._slices(E.shape[2]):
             F, levers = E.factors(blocks), E.levers(blocks)
-            for axes, points in self._axes:
-                rotated, U = self._rotated_base(axes, blocks), axes.rotated(levers, blocks)
-                diagonal = _has_diagonal_levers(U)
-                precision = axes.precision[:, blocks].transpose(1, 0, 2)
-                for s, columns, values in F.blocks:
-                    # Weighted products of this variable's lever with the base columns, at each
-                    # point.
-                    rows = slice(s, s + 1) if diagonal else WHOLE_AXIS
-                    across = (precision[:, :, rows] * U[:, None, rows, s]) @ rotated[:, rows]
-                    product = values @ across.reshape(len(U), -1)
-                    total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
+            rotated, U = self._rotated_base(blocks), self._axes.rotated(levers, blocks)
+            diagonal = _has_diagonal_levers(U)
+            precision = self._axes.precision[:, blocks].transpose(1, 0, 2)
+            for s, columns, values in F.blocks:
+                # Weighted products of this variable's lever with the base columns, at each point.
+                rows = slice(s, s + 1) if diagonal else WHOLE_AXIS
+                across = (precision[:, :, rows] * U[:, None, rows, s]) @ rotated[:, rows]
+                product = values @ across.reshape(len(U), -1)
+                total[as_slice(columns)] += product.reshape(len(values), -1, numbers)
         for cached, own in zip(made, total.transpose(1, 0, 2), strict=True):
             cached.add(indices, own)
 
@@ -279,11 +269,8 @@ class GridSums:
         levers : derivatives of the rows by the intermediate variables, shape (blocks, m, variables)
         points : indices of the grid points
         """
-        for axes, _ in self._axes:
-            at = [i for i, k in enumerate(points) if k in axes.points]
-            if at:
-                own, places = [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
-                _add_weighted(total, F, G, axes.rotated(levers, blocks), axes.precision[own, blocks], places)
+        weight = self._axes.precision[[self.near.index(k) for k in points], blocks]
+        _add_weighted(total, F, G, self._axes.rotated(levers, blocks), weight)
 
     def _slices(self, width: int) -> Iterator[slice]:
         """Return slices of all blocks by `column_bytes` for `width` columns, or `min_blocks`."""
@@ -320,14 +307,13 @@ def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
         yield slice(s, s + 1), columns, np.concatenate([values * U[:, s, s], np.zeros((1, len(U)))])
 
 
-def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array, at: slice) -> None:
-    """Add weighted products of columns F and G to `total` at the points of one eigenbasis.
+def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array) -> None:
+    """Add weighted products of columns F and G to `total`.
 
     total : shape (columns of F, points, columns of G)
     U : derivatives of the rows by the intermediate variables, in the eigenbasis, shape (n, m,
         variables)
     weight : precision of each eigenvector, shape (points, n, m)
-    at : slice of these points in `total`
     """
     W, V = weight.transpose(0, 2, 1), np.ascontiguousarray(U[:, :, [t for t, _, _ in G.blocks]].transpose(2, 1, 0))
     others = [(as_slice(own), factors) for _, own, factors in G.blocks]
@@ -347,7 +333,7 @@ def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array,
             for share, (own, factors) in zip(shares, others, strict=True):
                 across[:, own] += share[:, None] * factors
             product = (values @ across.reshape(-1, n).T).reshape(len(values), K, G.width)
-        total[as_slice(columns), at] += product
+        total[as_slice(columns)] += product
 
 
 class CachedRows:

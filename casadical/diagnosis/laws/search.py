@@ -107,7 +107,7 @@ def aliases(case: Case, chosen: Array, s: ScoredLaw, variant: Mapping[str, int])
     problem = LawProblem.of_case(case, chosen)
     rho = float(RHO_GRID[int(np.argmin(np.abs(RHO_GRID - s.noise.repeatability / s.noise.sigma)))])
     listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
-    projection = problem.evidence.projected(rho)
+    projection = problem.evidence.projection(rho)
     own = projection.columns(problem.white(s.candidate.columns(s.settings[None])[:, :, 0]))
     fit = own @ np.linalg.lstsq(own, projection.y, rcond=None)[0]
     found = []

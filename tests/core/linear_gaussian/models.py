@@ -7,19 +7,18 @@ from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.model import LinearModel
-from casadical.core.linear_gaussian.noise import Grid, NoiseModel
 
 SIGMAS = np.geomspace(1e-2, 1.0, 5)
 KAPPAS = np.array([0.5, 1.0, 4.0])
-RATIOS = {"joints": np.array([0.0, 0.5, 2.0])}
-TWO = {"joints": np.array([0.0, 0.5, 2.0]), "drift": np.array([1.0, 0.3, 0.0])}
+RATIOS = np.array([0.0, 0.5, 2.0])
+FALLING = np.array([1.0, 0.3, 0.0])
 NONE = np.zeros(0, dtype=np.int64)
 
 
-def small_model(ratios: dict[str, np.ndarray] = RATIOS, seed: int = 0, n: int = 7, m: int = 3) -> LinearModel:
+def small_model(ratios: np.ndarray = RATIOS, seed: int = 0, n: int = 7, m: int = 3) -> LinearModel:
     """Some blocks, four base parameters, six columns."""
     rng = np.random.default_rng(seed)
-    components = {name: rng.normal(size=(n, m, 2)) for name in ratios}
+    Jq = rng.normal(size=(n, m, 2))
     J, E = rng.normal(size=(n, m, 4)), 0.1 * rng.normal(size=(n, m, 6))
     mean, prior = 0.1 * rng.normal(size=4), np.array([1.0, 0.03, 0.3, 10.0])
     r = J @ (mean + 0.01 * rng.normal(size=4)) + E @ [1.0, 0, -0.5, 0, 0, 2] + 0.1 * rng.normal(size=(n, m))
@@ -30,23 +29,24 @@ def small_model(ratios: dict[str, np.ndarray] = RATIOS, seed: int = 0, n: int = 
         prior=prior,
         E=array_columns(E),
         cause_prior=np.array([8.0, 8.0, 8.0, 2.0, 2.0, 8.0]),
-        noise=NoiseModel((n, m), components),
-        grid=Grid(SIGMAS, ratios, KAPPAS),
+        Jq=Jq,
+        sigmas=SIGMAS,
+        ratios=ratios,
+        kappas=KAPPAS,
         reference=0.1,
-        near=tuple(range(len(next(iter(ratios.values()))))),
+        near=tuple(range(len(ratios))),
     )
 
 
 def without_last_rows(model: LinearModel, blocks: np.ndarray) -> LinearModel:
     """Some blocks have one row fewer than the others: zeros stand in its place."""
     r, J, E = model.r.copy(), model.J.copy(), model.E.take(np.arange(model.width)).copy()
-    components = {name: A.copy() for name, A in model.noise.components.items()}
-    for rows in (r, J, E, *components.values()):
+    Jq = model.Jq.copy()
+    for rows in (r, J, E, Jq):
         rows[blocks, -1] = 0.0
-    noise = NoiseModel(model.noise.shape, components)
     measured = np.ones(r.shape, dtype=bool)
     measured[blocks, -1] = False
-    return replace(model, r=r, J=J, E=array_columns(E), noise=noise, measured=measured)
+    return replace(model, r=r, J=J, E=array_columns(E), Jq=Jq, measured=measured)
 
 
 def noise_of(model: LinearModel, point: int, sigma: float) -> np.ndarray:
@@ -54,11 +54,8 @@ def noise_of(model: LinearModel, point: int, sigma: float) -> np.ndarray:
     n, m = model.r.shape
     C = np.zeros((n * m, n * m))
     for b in range(n):
-        own = np.eye(m)
-        for name, values in model.grid.ratios.items():
-            A = values[point] * model.noise.components[name][b]
-            own += A @ A.T
-        C[m * b : m * b + m, m * b : m * b + m] = sigma**2 * own
+        A = model.ratios[point] * model.Jq[b]
+        C[m * b : m * b + m, m * b : m * b + m] = sigma**2 * (np.eye(m) + A @ A.T)
     return C
 
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, without_last_rows
+from models import FALLING, KAPPAS, NONE, RATIOS, SIGMAS, log_density, small_model, without_last_rows
 from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.columns import array_columns, serial_columns
@@ -32,9 +32,9 @@ def far_prior() -> LinearModel:
 
 
 MODELS = {
-    "one component": small_model(),
-    "two components": small_model(TWO),
-    "blocks of different sizes": without_last_rows(small_model(TWO), np.array([1, 4])),
+    "ratios that rise": small_model(),
+    "ratios that fall": small_model(FALLING),
+    "blocks of different sizes": without_last_rows(small_model(FALLING), np.array([1, 4])),
     "columns of deficient rank": twin_columns(),
     "priors far away": far_prior(),
     "blocks of one row": small_model(n=20, m=1),
@@ -101,14 +101,14 @@ def test_columns_in_the_base_without_directions_that_move_nothing() -> None:
 
 def test_a_projection_has_the_same_likelihood() -> None:
     model = small_model()
-    for base, ratio in zip(Marginals(model).log_base(), RATIOS["joints"], strict=True):
-        projected = model.projection({"joints": ratio})
+    for base, ratio in zip(Marginals(model).log_base(), RATIOS, strict=True):
+        projected = model.projection(ratio)
         likelihood = model.log_over_sigmas(float(projected.y @ projected.y), projected.log_norm)
         np.testing.assert_allclose(likelihood, base, rtol=1e-7)
 
 
-@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
-def test_looking_ahead_changes_nothing(ratios: dict[str, np.ndarray]) -> None:
+@pytest.mark.parametrize("ratios", [RATIOS, FALLING], ids=["rising", "falling"])
+def test_looking_ahead_changes_nothing(ratios: np.ndarray) -> None:
     model, sets = small_model(ratios), [np.array([3]), np.array([4])]
     ready = Marginals(model)
     ready.look_ahead(sets, GROUPS)
@@ -125,8 +125,8 @@ def test_what_else_is_known_of_the_noise_is_added() -> None:
     np.testing.assert_allclose(found, Marginals(model).log_base() + known, rtol=1e-12)
 
 
-@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
-def test_a_wide_group_is_the_normal_density(ratios: dict[str, np.ndarray]) -> None:
+@pytest.mark.parametrize("ratios", [RATIOS, FALLING], ids=["rising", "falling"])
+def test_a_wide_group_is_the_normal_density(ratios: np.ndarray) -> None:
     """Judged given one column, and given to one column."""
     model, rng, last = small_model(ratios, n=30), np.random.default_rng(2), MAX_NARROW_GROUP_COLUMNS + 1
     E = 0.02 * rng.normal(size=(30, 3, last + 1))
@@ -150,16 +150,16 @@ def test_a_wide_group_far_behind_a_narrow_one_is_judged_at_fewer_points_and_no_s
     assert every[0] == pytest.approx(every[1], rel=1e-12)
 
 
-@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
-def test_sums_in_parts_are_those_of_all_blocks(ratios: dict[str, np.ndarray]) -> None:
+@pytest.mark.parametrize("ratios", [RATIOS, FALLING], ids=["rising", "falling"])
+def test_sums_in_parts_are_those_of_all_blocks(ratios: np.ndarray) -> None:
     model, chosen = small_model(ratios, n=40), np.array([3, 4])
     parts = replace(model, memory=MemoryLimits(column_bytes=1, min_blocks=7))
     expected = Marginals(model).log_grids(GROUPS, chosen)
     np.testing.assert_allclose(Marginals(parts).log_grids(GROUPS, chosen), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
-def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> None:
+@pytest.mark.parametrize("ratios", [RATIOS, FALLING], ids=["rising", "falling"])
+def test_known_sums_are_extended_and_moved(ratios: np.ndarray) -> None:
     """More columns, then a block fewer and another one more, are as if they were added up anew."""
     whole, chosen = small_model(ratios, n=41), np.array([3, 4])
 
