@@ -11,7 +11,7 @@ from campaign_robots import machine
 
 from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.diagnosis.candidates import candidates_of
-from casadical.diagnosis.cross_validation import noise_odds
+from casadical.diagnosis.bootstrap import noise_odds
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.identification import identify
