@@ -2,10 +2,13 @@
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
+
+from casadical.core.basics import ConvergenceError
 
 Row = dict[str, Any]
 T = TypeVar("T")
@@ -18,7 +21,7 @@ def add_options(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def rows_of(todo: Sequence[tuple[str, T]], judged: Callable[[T], Row], given: argparse.Namespace) -> list[Row]:
-    """The row of each entry (its name, and what it is), from the file where it is there."""
+    """The row of each entry (its name, and what it is), from the file where it is there; none if it finds no rest."""
     kept: dict[str, Row] = {}
     if given.keep.exists():
         kept = {row["name"]: row for row in map(json.loads, given.keep.read_text().splitlines())}
@@ -26,7 +29,11 @@ def rows_of(todo: Sequence[tuple[str, T]], judged: Callable[[T], Row], given: ar
         if given.table or time.process_time() > given.seconds:
             break
         if name not in kept:
-            kept[name] = {"name": name, **judged(entry)}
+            try:
+                kept[name] = {"name": name, **judged(entry)}
+            except ConvergenceError as error:
+                print(f"{name}: {error}", file=sys.stderr)
+                continue
             with given.keep.open("a") as file:
                 file.write(json.dumps(kept[name]) + "\n")
     return [kept[name] for name, _ in todo if name in kept]
