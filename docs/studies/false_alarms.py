@@ -10,8 +10,8 @@ import numpy as np
 from campaign_robots import machine
 
 from casadical.blind_check.mujoco_physics import campaign, perturb
-from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.bootstrap import noise_odds
+from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.identification import identify
