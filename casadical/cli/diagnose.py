@@ -204,5 +204,5 @@ def _print_diagnosis(found: CampaignDiagnosis, details: bool, file: Path | None,
         return {}
     if len(found.details.poses):
         return {file: found.details.poses.to_csv(index=False)}
-    console.print(f"{shown(file)}: not written, for nothing is in question", markup=False)
+    console.print(f"{shown(file)}: not written: no listed causes to tell apart", markup=False)
     return {}

@@ -236,7 +236,7 @@ class Case:
             raise InputError(
                 f"{self.m.source}: the model does not fit: {len(inliers) - int(inliers.sum())} of "
                 f"{len(inliers)} poses are far off; check the signs and zeros of the joints, their order, units "
-                "and the DH convention"
+                "and the DH convention, which casadical check looks for"
             )
         return self.with_inliers(inliers)
 

@@ -181,7 +181,7 @@ def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Blo
         return
     yield from _said(said, "NEXT")
     if not len(poses):
-        yield Words("Nothing is in question: no further poses are needed to distinguish causes.")
+        yield Words("There are no two listed causes that further poses would tell apart.")
         return
     yield Words(
         "P(correct) is the probability that the more probable of the two causes is the true one, now and with these "
@@ -331,6 +331,7 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
     if step == 0:
         title = "Probability of each cause"
         caption = "All candidates compete with nothing at all and with smooth errors of no listed cause."
+        caption += f" A name has {1 - SETTINGS.look_alike:g} of it: another may look like it."
     x = Axis("probability", (0, 1), ticks=[0, 0.25, 0.5, 0.75, 1])
     height = 110 + 30 * len(rows)
     return Figure(f"causes/{step + 1}", title, [bars], x, height=height, caption=caption, rows=labels, right=64)

@@ -63,7 +63,11 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
         after = d.gap.after if alone else d.gap.without_outliers * (1 - c.shrink)
         low, high = (100 * v for v in c.shrink_interval)
         settings = [setting for e in c.effects for setting in settings_of(e).items()]
-        parameters = [(name, f"{value:.3g}", "", "") for name, value in dict.fromkeys(settings)]
+        parameters = []
+        for name, value in dict.fromkeys(settings):
+            row = d.case.m.row[np.where(d.case.progress > value, d.case.progress, 2).argmin()]
+            unit = f"of the campaign's time, from row {row}" if name == "at" else ""
+            parameters.append((name, f"{value:.3g}", "", unit))
         parameters += [(name, value, "", unit) for e in c.effects for name, value, unit in e.summary]
         parameters += [_estimate(name, *given) for name, given in (c.estimates or {}).items()]
         if c.effect == "outliers":

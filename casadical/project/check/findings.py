@@ -83,7 +83,8 @@ def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) ->
     text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
     text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
     if not slips.explains:
-        return Finding("error", "units", f"{text}; no slip of unit, sign or zero explains it: check the robot file")
+        text += "; no slip of unit, sign or zero explains it: check the units of its columns, then the robot file"
+        return Finding("error", "units", text)
     text += f"; {error_in_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
     for rival in slips.rivals:
         text += f". Rival, {error_in_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
