@@ -553,7 +553,7 @@ def seconds_of_one(times: Array, unit: str) -> float:
 
 
 def _cell(text: object) -> str:
-    """Return a cell as text for messages; "an empty cell" where it is missing."""
+    """Return a cell as text for messages; "an empty cell or n/a" where it is missing."""
     if isinstance(text, float) and np.isnan(text):
-        return "an empty cell"
+        return "an empty cell or n/a"
     return repr(text.item() if isinstance(text, np.generic) else text)

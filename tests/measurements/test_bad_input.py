@@ -236,7 +236,7 @@ def test_every_fault_of_cells_and_of_limits_is_told_at_once():
     with pytest.raises(FaultsError) as refused:
         read(words)
     assert [(f.rows[0], f.column, f.value) for f in refused.value.faults] == [
-        (4, "q1_deg", "'lost'"), (N + 1, "q3_deg", "an empty cell"), (2, "payload_kg", "-1"),
+        (4, "q1_deg", "'lost'"), (N + 1, "q3_deg", "an empty cell or n/a"), (2, "payload_kg", "-1"),
     ]  # fmt: skip
     far = table().assign(q1_deg=[130.0, 10, 150, *[20.0] * (N - 3)], q3_deg=[*[5.0] * (N - 1), -120.0])
     with pytest.raises(FaultsError) as refused:

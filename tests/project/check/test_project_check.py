@@ -204,8 +204,8 @@ def test_every_fault_of_a_table_is_listed_at_once(tmp_path: Path) -> None:
 
     text = said(precheck(problem_with(tmp_path, change)), "error")
     assert "column q4_deg or q4_rad, q6_deg or q6_rad are missing" in text
-    assert "row 5, column 'x_mm': an empty cell is not a finite number" in text
-    assert "row 7, column 'z_mm': an empty cell is not a finite number (2 such in this column)" in text
+    assert "row 5, column 'x_mm': an empty cell or n/a is not a finite number" in text
+    assert "row 7, column 'z_mm': an empty cell or n/a is not a finite number (2 such in this column)" in text
 
 
 @pytest.mark.slow
