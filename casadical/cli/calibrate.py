@@ -43,7 +43,7 @@ def check(
     for name, (folder, tables) in o.problems_of(problems).items():
         noise = None if noise_mm is None else 1e-3 * noise_mm
         if repair and tables:
-            raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
+            raise InputError(f"{name}: --repair writes problem.toml: name the table there, and give the folder alone")
         with t.working(quiet, "reading", name, t.CHECK) as show:
             checks.append(precheck(folder, noise, show=show, tables=tables))
         # Up to three repairs in a row: a slip may hide another one, or a target.

@@ -61,11 +61,11 @@ def precheck(
     """
     if noise is not None:
         Noise(noise)  # which refuses zero
-    folder = Path(folder)
+    folder, given = Path(folder), tuple(map(Path, tables))
     try:
         problem = read_problem(folder, seed, tables=tables)
     except InputError as error:
-        return Precheck(folder, tuple(fault_findings(error, "reading")))
+        return Precheck(folder, tuple(fault_findings(error, "reading")), tables=given)
     show("comparing with the nominal robot")
     sets = split_by_session(problem.sets["identify"])
     others = facts.other_conventions(problem.robot_file)
@@ -122,7 +122,7 @@ def precheck(
         slips,
         targets,
         wrong,
-        tuple(map(Path, tables)),
+        given,
         more_poses(folder, first),
         readings,
     )

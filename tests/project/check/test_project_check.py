@@ -202,7 +202,10 @@ def test_every_fault_of_a_table_is_listed_at_once(tmp_path: Path) -> None:
         t.loc[[5, 6], "z_mm"] = np.nan
         return t.drop(columns=["q4_deg", "q6_deg"])
 
-    text = said(precheck(problem_with(tmp_path, change)), "error")
+    folder = problem_with(tmp_path, change)
+    table = next(folder.glob("*.csv"))
+    assert table.name in precheck(folder, tables=[table]).next[0].code
+    text = said(precheck(folder), "error")
     assert "column q4_deg or q4_rad, q6_deg or q6_rad are missing" in text
     assert "row 5, column 'x_mm': an empty cell or n/a is not a finite number" in text
     assert "row 7, column 'z_mm': an empty cell or n/a is not a finite number (2 such in this column)" in text
