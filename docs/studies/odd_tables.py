@@ -31,7 +31,7 @@ from casadical.identification.accuracy import errors
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 
-SEEDS = {"develop": 2601, "learn": 2610, "judge": 2602, "judge 2": 2603, "judge 3": 2604}
+SEEDS = {"develop": 2601, "learn": 2610, "judge": 2602, "judge 2": 2603, "judge 3": 2604, "judge 4": 2605}
 # Campaigns of each part.
 PARTS = {"ripple": 40, "wire": 30, "lag": 30, "stops": 40}
 
