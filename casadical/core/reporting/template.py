@@ -13,7 +13,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from casadical.core.files import private_folder
 from casadical.core.reporting.blocks import Block, Kind, Table, Words, mm
 from casadical.core.reporting.figure import Figure
 
@@ -43,8 +42,10 @@ def tag(kind: str) -> str:
 @cache
 def _environment(folder: Path) -> Environment:
     """Return the jinja2 environment of a folder's text templates."""
-    # Imported late: what shows nothing needs no jinja2.
+    # Imported late: what shows nothing needs no jinja2, and the simulators' physics write nothing.
     from jinja2 import Environment, FileSystemBytecodeCache, FunctionLoader, StrictUndefined
+
+    from casadical.core.files import private_folder
 
     def load(name: str) -> str:
         """Return the text of a template file, with tags in place of lines [kind]."""
