@@ -43,10 +43,10 @@ class MemoryLimits:
         in the space of observations instead of parameters
     """
 
-    column_bytes: int = 24_000_000
-    min_blocks: int = 64
+    column_bytes: int = 96_000_000
+    min_blocks: int = 256
     cache_bytes: int = 60_000_000
-    part_bytes: int = 6_000_000
+    part_bytes: int = 16_000_000
     max_observation_rows: int = 1500
 
 
