@@ -235,7 +235,7 @@ class GridSums:
         E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
         edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
         total = np.zeros((E.shape[2], len(points), every.width))
-        for blocks in self._slices(every.width * len(points)):
+        for blocks in self._slices(max(every.width * len(points), E.shape[2])):
             G = R.factors(blocks).combined(every)
             self._add_products(total, E.factors(blocks), G, E.levers(blocks), blocks, points)
         for run, start, end in zip(runs, edges[:-1], edges[1:], strict=True):
