@@ -336,7 +336,9 @@ def files_opened() -> Iterator[str]:
 
 def ties() -> Iterator[str]:
     """Yield choices of a best one whose ties are decided by rounding, hence by the processor."""
-    for path in tracked("casadical/diagnosis/*.py", "casadical/fleet/*.py", "casadical/pose_selection/*.py"):
+    for path in tracked(
+        "casadical/diagnosis/*.py", "casadical/fleet/*.py", "casadical/identification/pose_selection/*.py"
+    ):
         for call in (n for n in nodes_of(path) if isinstance(n, ast.Call)):
             name = ast.unparse(call.func)
             key = next((ast.unparse(k.value) for k in call.keywords if k.arg == "key"), "len")

@@ -20,12 +20,12 @@ from casadical.fleet.changes import Comparison as Comparison
 from casadical.fleet.result import Fleet as Fleet
 from casadical.fleet.run import run_fleet as run_fleet
 from casadical.identification.identification import identify as identify
+from casadical.identification.pose_selection.pose_search import select_poses as select_poses
+from casadical.identification.pose_selection.selection import Selection as Selection
 from casadical.identification.result import Identification as Identification
 from casadical.measurements.measurements import Measurements as Measurements
 from casadical.measurements.reading import from_table as from_table
 from casadical.measurements.reading import read_measurements as read_measurements
-from casadical.pose_selection.pose_search import select_poses as select_poses
-from casadical.pose_selection.selection import Selection as Selection
 from casadical.project.acceptance.verification import Verification as Verification
 from casadical.project.acceptance.verification import verify as verify
 from casadical.project.calibration import Calibration as Calibration

@@ -16,7 +16,7 @@ from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_floor import noise_floor
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
-from casadical.pose_selection.workspace import Workspace
+from casadical.identification.pose_selection.workspace import Workspace
 
 
 @dataclass(frozen=True, eq=False)

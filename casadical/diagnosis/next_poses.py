@@ -26,10 +26,10 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation, linearise
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
+from casadical.identification.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Noise, unmeasured
-from casadical.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
-from casadical.pose_selection.workspace import Workspace
 
 
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> tuple[Array, Array]:

@@ -36,9 +36,9 @@ MAX_FITTED_HARMONIC = 6
 REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
 
 
-# Residuals and Jacobians of some poses at the fitted values, every pose with as many rows as the kind
-# with the most of them. Lengths are in mm; residuals whose accuracy differs from that of the lengths
-# of the first set are scaled to the same noise: residuals, (n, numbers) [mm]; Jacobians by the
+# Residuals and Jacobians of some poses at the fitted values; each pose has as many rows as the kind
+# with the most of them. Lengths are in mm; residuals whose accuracy is not that of the lengths of
+# the first set are scaled to the same noise: residuals, (n, numbers) [mm]; Jacobians by the
 # parameters in units of their scale, (n, numbers, k) [mm], by the zero of each revolute joint,
 # (n, numbers, joints) [mm/mrad], and by the unknown points, (n, numbers, 3 points) [mm/mm].
 _Rows = tuple[Array, Array, Array, Array]

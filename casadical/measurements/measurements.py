@@ -29,7 +29,7 @@ class Noise:
 
     Examples
     --------
-    >>> casadical.pose_selection.Noise(sigma=2e-5, repeatability=8e-6).sigma
+    >>> casadical.identification.pose_selection.Noise(sigma=2e-5, repeatability=8e-6).sigma
     2e-05
     """
 

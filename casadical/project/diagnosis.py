@@ -24,13 +24,13 @@ from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_SEAMS
 from casadical.effects.plugins import effects_by_name
+from casadical.identification.pose_selection.workspace import Workspace, read_workspace
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.findings import found_in
 from casadical.measurements.logs.log import JointLog, joined
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import refuse_shared_rows
-from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables, problem_file, tables_of
 from casadical.robot.effect_tables import read_effects

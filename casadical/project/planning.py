@@ -14,6 +14,23 @@ from casadical.core.basics import Array, InputError, Show, silent
 from casadical.core.reporting.blocks import Words, next_step
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
+from casadical.identification.pose_selection.camera_stations import (
+    CameraStations,
+    camera_stations,
+    read_view,
+    simulated_stations,
+)
+from casadical.identification.pose_selection.candidates import Circumstances, one_turn
+from casadical.identification.pose_selection.instruments import usual_places
+from casadical.identification.pose_selection.pose_search import (
+    MeasurementPlan,
+    forecast,
+    place_instrument,
+    select_poses,
+    select_with_places,
+)
+from casadical.identification.pose_selection.selection import Selection
+from casadical.identification.pose_selection.workspace import Workspace, read_workspace
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
 from casadical.measurements.columns import POSSIBLE_RANGES, Columns
@@ -21,26 +38,13 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.camera_stations import CameraStations, camera_stations, read_view, simulated_stations
-from casadical.pose_selection.candidates import Circumstances, one_turn
-from casadical.pose_selection.instruments import usual_places
-from casadical.pose_selection.pose_search import (
-    MeasurementPlan,
-    forecast,
-    place_instrument,
-    select_poses,
-    select_with_places,
-)
-from casadical.pose_selection.selection import Selection
-from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.acceptance.iso9283 import planned_test, words_of_plan
 from casadical.project.problem import Carried, read_campaign, read_campaign_robot
 from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Standard deviation of a coordinate that a laser tracker measures [mm]; plans use it where none is
-# declared.
+# Standard deviation of a coordinate by a laser tracker [mm]; plans use it where none is declared.
 TRACKER_SIGMA_MM = 0.02
 
 
@@ -345,8 +349,7 @@ def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target:
         said = f"{n} are planned, of which {1e3 * chosen.accuracy:.3f} mm are to expect"
         if target and not enough:
             said += f"; they are not enough for {1e3 * target:.3g} mm"
-        unchecked = k == 3
-        return chosen.q, said + ("; floor and obstacles were not checked: --room FILE.toml" if unchecked else "")
+        return chosen.q, said + ("; floor and obstacles were not checked: --room FILE.toml" if k == 3 else "")
     raise AssertionError
 
 

@@ -34,12 +34,13 @@ from casadical.core.basics import Array
 from casadical.diagnosis.diagnose import diagnose
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
+from casadical.identification.pose_selection import candidates
+from casadical.identification.pose_selection.candidates import joint_jacobian, scaled_jacobian
+from casadical.identification.pose_selection.design_problem import prepare
+from casadical.identification.pose_selection.instruments import Instrument, best_places, usual_places, without_base
+from casadical.identification.pose_selection.pose_search import place_instrument, select_poses
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import SOCKET_COLUMN, Circumstances, joint_jacobian, scaled_jacobian
-from casadical.pose_selection.design_problem import prepare
-from casadical.pose_selection.instruments import Instrument, best_places, usual_places, without_base
-from casadical.pose_selection.pose_search import place_instrument, select_poses
-from casadical.pose_selection.workspace import Workspace
 from casadical.project.problem import read_problem
 from casadical.robot.robot import Robot
 
@@ -155,11 +156,11 @@ def pick(robot: Robot, fit: Measurements, groups: list[Array], places: Array, co
     """Which sockets to take: the best pair by the plan's criterion, then the best more, one by one."""
     m = fit[np.concatenate(groups)]
     at = np.repeat(np.arange(len(groups), dtype=float), [len(g) for g in groups])
-    m = replace(m, position=predicted(robot, m)[0], conditions={**m.conditions, SOCKET_COLUMN: at})
+    m = replace(m, position=predicted(robot, m)[0], conditions={**m.conditions, candidates.SOCKET_COLUMN: at})
     expected = Noise(1e-3 * noise, JOINTS)
     problem = prepare(
-        robot, len(m), "V", candidates=m.q, workspace=Workspace(), circumstances=Circumstances(), measured=None,
-        free=None, interest=(), task=fit.q[:300], noise=expected, pool=len(m), rng=np.random.default_rng(0),
+        robot, len(m), "V", candidates=m.q, workspace=Workspace(), circumstances=candidates.Circumstances(), free=None,
+        measured=None, interest=(), task=fit.q[:300], noise=expected, pool=len(m), rng=np.random.default_rng(0),
     )  # fmt: skip
     names = tuple(n for n in problem.names if not n.startswith("base_"))
     J = without_base(robot, scaled_jacobian(robot, names, problem.task), problem.task)

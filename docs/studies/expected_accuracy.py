@@ -7,9 +7,9 @@ Joints repeat to 25 urad. Unmodelled effects come on top; docs/studies/layers.tx
 
 from pathlib import Path
 
+from casadical.identification.pose_selection.instruments import usual_places
+from casadical.identification.pose_selection.pose_search import forecast, place_instrument
 from casadical.measurements.measurements import Noise
-from casadical.pose_selection.instruments import usual_places
-from casadical.pose_selection.pose_search import forecast, place_instrument
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]

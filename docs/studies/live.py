@@ -23,8 +23,8 @@ import numpy as np
 from casadical import read_problem
 from casadical.core.basics import Array
 from casadical.identification.accuracy import predicted
-from casadical.pose_selection.candidates import draw, expected, one_turn
-from casadical.pose_selection.workspace import Workspace
+from casadical.identification.pose_selection.candidates import draw, expected, one_turn
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.sources import FileSource, Row, journal, rows_of
 from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built

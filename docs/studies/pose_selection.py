@@ -13,10 +13,10 @@ from campaign_robots import plant_of
 
 from casadical import identify, read_robot
 from casadical.blind_check.mujoco_physics import campaign, perturb
+from casadical.identification.pose_selection import Noise, Workspace
+from casadical.identification.pose_selection.candidates import draw
+from casadical.identification.pose_selection.pose_search import select_poses
 from casadical.measurements.reading import from_table
-from casadical.pose_selection import Noise, Workspace
-from casadical.pose_selection.candidates import draw
-from casadical.pose_selection.pose_search import select_poses
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"

@@ -18,7 +18,7 @@ import pandas as pd
 
 from casadical import identify, read_problem, read_robot
 from casadical.identification import errors
-from casadical.pose_selection import Noise, place_instrument
+from casadical.identification.pose_selection import Noise, place_instrument
 
 ROOT = Path(sys.argv[0]).resolve().parents[2]  # this file lies in docs/tutorials
 folder = Path(tempfile.mkdtemp()) / "wired"

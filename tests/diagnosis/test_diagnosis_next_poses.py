@@ -22,10 +22,10 @@ from casadical.diagnosis.next_poses import (
     predict_cause,
 )
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection import Workspace
+from casadical.identification.pose_selection.candidates import draw, later_poses
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
-from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw, later_poses
 
 EFFECTS = ("nonlinear_stiffness@2", "backlash@2", "gear_eccentricity@2", "frame_drift", "thermal_growth")
 

@@ -85,8 +85,8 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.run import rows
     from casadical.fleet.touches import changes_in_fleet, judge_touches
+    from casadical.identification.pose_selection.workspace import read_workspace
     from casadical.measurements.logs.reading import is_log, read_log
-    from casadical.pose_selection.workspace import read_workspace
     from casadical.project.acceptance.certificate import certificate
     from casadical.project.acceptance.iso9283 import evaluated_table
     from casadical.project.acceptance.verification import promised_rms

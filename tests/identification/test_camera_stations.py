@@ -9,7 +9,7 @@ from test_camera_noise import MIDDLE, seen_by_hand
 from casadical import InputError, Measurements, identify
 from casadical.core.parts import Coupling
 from casadical.identification.accuracy import predicted
-from casadical.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
+from casadical.identification.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
 
 
 def test_stations_see_the_board_and_more_of_them_promise_less_error() -> None:

@@ -10,8 +10,8 @@ from command_line import ROOT, main
 
 from casadical import InputError, read_robot
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection.workspace import Workspace
 from casadical.project.acceptance.iso9283 import evaluated_table, planned_test, poses_in
 
 ROBOT = ROOT / "problems" / "ur10e" / "robot.toml"

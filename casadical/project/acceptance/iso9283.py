@@ -25,11 +25,11 @@ from casadical.core.reporting.blocks import Table, Words, mm
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, plain, written
 from casadical.core.reporting.result import Result
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection.candidates import draw, expected, poses_at_places
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.columns import Columns
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import draw, expected, poses_at_places
-from casadical.pose_selection.workspace import Workspace
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 

@@ -44,7 +44,6 @@ from casadical.robot.robot import Robot
 def precheck(
     folder: str | Path,
     noise: float | None = None,
-    seed: int | None = None,
     show: Show = silent,
     tables: Sequence[str | Path] = (),
 ) -> Precheck:
@@ -53,7 +52,6 @@ def precheck(
     folder : problem folder or robot file
     noise : one sigma of a measured coordinate [m] for the forecasts; None: the residual of a linear
         step
-    seed : seed of the split in place of the problem's own
     show : called with each line of progress
     tables : measured poses, in place of the folder's own or for a robot file (see `read_problem`)
 
@@ -63,7 +61,7 @@ def precheck(
         Noise(noise)  # which refuses zero
     folder, given = Path(folder), tuple(map(Path, tables))
     try:
-        problem = read_problem(folder, seed, tables=tables)
+        problem = read_problem(folder, tables=tables)
     except InputError as error:
         return Precheck(folder, tuple(fault_findings(error, "reading")), tables=given)
     show("comparing with the nominal robot")
@@ -106,7 +104,6 @@ def precheck(
     findings += faults
     for view in outlooks:
         findings += outlook_findings(view, problem.robot, noise_m)
-    first = sets[0]
     return Precheck(
         folder,
         tuple(findings),
@@ -115,15 +112,15 @@ def precheck(
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
         noise_m,
         source,
-        facts.coverage(problem.robot, first),
-        facts.margin(problem.robot, first),
+        facts.coverage(problem.robot, sets[0]),
+        facts.margin(problem.robot, sets[0]),
         tuple(outlooks),
         problem.robot,
         slips,
         targets,
         wrong,
         given,
-        more_poses(folder, first),
+        more_poses(folder, sets[0]),
         readings,
     )
 

@@ -1,9 +1,9 @@
 """The expected result of an identification, from one linear step at the nominal robot.
 
 The residuals of the step are of noise and of what the model lacks. Their scatter is propagated
-through the identified parameters to poses all over the joint ranges (compare
-`casadical.pose_selection.pose_search.forecast`): this is the accuracy to expect of the parameters.
-What the model lacks adds to it where the poses were measured, too.
+through the identified parameters to poses all over the joint ranges (see `pose_search.forecast`):
+this is the accuracy to expect of the parameters. What the model lacks adds to it where the poses
+were measured, too.
 """
 
 from collections.abc import Sequence
@@ -17,11 +17,11 @@ from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import INITIAL_SIGMA_ANGLE_RAD, INITIAL_SIGMA_M, LeastSquares
+from casadical.identification.pose_selection import Workspace
+from casadical.identification.pose_selection.candidates import draw, expected, scaled_jacobian
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw, expected, scaled_jacobian
 from casadical.robot.robot import Robot
 
 

@@ -18,11 +18,11 @@ from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
+from casadical.identification.pose_selection.candidates import scaled_jacobian
+from casadical.identification.pose_selection.instruments import without_base
 from casadical.identification.sessions import SESSION_PREFIX, place_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import scaled_jacobian
-from casadical.pose_selection.instruments import without_base
 from casadical.robot.robot import Robot
 
 # Minimum number of readings of an estimate; readings are judged by each other once there are more.

@@ -21,14 +21,14 @@ from casadical.core.reading import read_text
 from casadical.core.reporting.result import plain_text
 from casadical.identification.identification import lacks_declared_compliance, prepare, with_all_joints_compliant
 from casadical.identification.plausibility import check_against
+from casadical.identification.pose_selection.candidates import draw, expected
+from casadical.identification.pose_selection.workspace import Workspace, read_workspace
 from casadical.identification.sessions import with_sessions
 from casadical.measurements.columns import Source as ColumnSource
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import draw, expected
-from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.calibration import calibrate
 from casadical.project.check.check import precheck
 from casadical.project.check.slip_list import slips_of_reading

@@ -20,8 +20,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.files import appending
 from casadical.core.reading import MAX_TEXT_BYTES, json_of, read_bytes
+from casadical.identification.pose_selection.candidates import expected
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import expected
 from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built, reading_cells
 from casadical.robot.robot import Robot
 

@@ -20,6 +20,8 @@ from casadical.core.parts import lacks_masses, with_estimated_masses
 from casadical.core.reading import read_bytes, read_text, text_fault
 from casadical.core.reporting.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy
+from casadical.identification.pose_selection import Workspace
+from casadical.identification.pose_selection.candidates import draw, expected, one_turn
 from casadical.measurements.arrangement import joined, long, with_headings
 from casadical.measurements.camera_noise import Camera
 from casadical.measurements.columns import Columns, is_ours
@@ -30,8 +32,6 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.proposals import Question, Understanding
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
-from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw, expected, one_turn
 from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured

@@ -29,10 +29,10 @@ from casadical.export.mjcf.equilibrium import EngineModel, positions
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.export.mjcf.replay import replay, replay_campaign
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection import Workspace
+from casadical.identification.pose_selection.candidates import draw
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements
-from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw
 from casadical.robot.robot import Robot
 from casadical.robot.urdf import new_urdf
 

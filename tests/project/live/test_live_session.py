@@ -19,9 +19,9 @@ import casadical
 from casadical.core.basics import InputError
 from casadical.core.files import csv_text
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection.candidates import draw, expected, poses_at_places
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection.candidates import draw, expected, poses_at_places
-from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.session import finished
 from casadical.project.live.sources import FileSource, FolderSource, Row, SimulatedSource, journal

@@ -1,7 +1,7 @@
 """Candidate poses, the circumstances of their measurement, and their information.
 
 Circumstances are payload, approach, repeats, time. The information about the parameters is in
-scaled Jacobians: millimetres per unit of a parameter's scale (1 mm, 1 mrad, a deflection of 1 mrad).
+scaled Jacobians: millimetres per unit of a parameter's scale (1 mm, 1 mrad, 1 mrad of deflection).
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import LeastSquares
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise, unmeasured
-from casadical.pose_selection.workspace import Workspace
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
@@ -52,7 +52,7 @@ class Circumstances:
 
     Examples
     --------
-    >>> often = casadical.pose_selection.Circumstances(both_approaches=True, repeats=3)
+    >>> often = casadical.identification.pose_selection.Circumstances(both_approaches=True, repeats=3)
     >>> often.size(robot), often.states(robot)
     (6, (0.0,))
     """
@@ -126,7 +126,7 @@ def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: st
 
 
 def one_turn(robot: Robot) -> Robot:
-    """Return the robot with one turn as the range of joints that have more, that nearest to zero."""
+    """Return the robot with one turn as the range of joints that have more, nearest to zero."""
     turn, joints = 2 * np.pi, list(robot.joints)
     for k, j in enumerate(joints):
         if j.kind == "revolute" and j.upper - j.lower > turn:

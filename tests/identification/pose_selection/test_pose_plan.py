@@ -12,9 +12,9 @@ from command_line import main
 
 from casadical import read_measurements, write_robot
 from casadical.core.transforms import frame
-from casadical.pose_selection.selection import travel
+from casadical.identification.pose_selection.selection import travel
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def run(monkeypatch, *words) -> int:

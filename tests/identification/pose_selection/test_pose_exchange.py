@@ -9,11 +9,11 @@ import pytest
 
 from casadical import InputError, read_robot
 from casadical.core.statistics import thirds
-from casadical.pose_selection import forecast
-from casadical.pose_selection.experimental_design import Design, improve, inverse, search
-from casadical.pose_selection.selection import short_tour
+from casadical.identification.pose_selection import forecast
+from casadical.identification.pose_selection.experimental_design import Design, improve, inverse, search
+from casadical.identification.pose_selection.selection import short_tour
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 N, M, P = 11, 2, 4
 

@@ -8,10 +8,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.identification.identifiability import Unidentifiable
-from casadical.identification.prior import Prior
-from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import (
+from casadical.identification.pose_selection.candidates import (
     MAX_POSES_PER_PART,
     SOCKET_COLUMN,
     Candidates,
@@ -25,9 +22,12 @@ from casadical.pose_selection.candidates import (
     reachable_places,
     scaled_jacobian,
 )
-from casadical.pose_selection.experimental_design import Design, inverse
-from casadical.pose_selection.instruments import Instrument, without_base
-from casadical.pose_selection.workspace import Workspace
+from casadical.identification.pose_selection.experimental_design import Design, inverse
+from casadical.identification.pose_selection.instruments import Instrument, without_base
+from casadical.identification.pose_selection.workspace import Workspace
+from casadical.identification.prior import Prior
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 

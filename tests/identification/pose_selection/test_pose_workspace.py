@@ -8,9 +8,9 @@ from arms import RIGHT, elbow, planar, readings
 
 from casadical import FourBar, InputError, Joint, Placement, Robot
 from casadical.core.transforms import frame
-from casadical.pose_selection import Workspace
-from casadical.pose_selection.candidates import draw
-from casadical.pose_selection.workspace import Box, Tracker, places_about, read_workspace
+from casadical.identification.pose_selection import Workspace
+from casadical.identification.pose_selection.candidates import draw
+from casadical.identification.pose_selection.workspace import Box, Tracker, places_about, read_workspace
 
 BOX = Box(np.array([-0.2, -0.1, 0.1]), np.array([0.3, 0.5, 0.4]))
 

@@ -19,10 +19,10 @@ from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection.candidates import SOCKET_COLUMN, draw, noise_covariance, scaled_jacobian
+from casadical.identification.pose_selection.experimental_design import inverse
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.measurements import Measurements, Noise, unmeasured
-from casadical.pose_selection.candidates import SOCKET_COLUMN, draw, noise_covariance, scaled_jacobian
-from casadical.pose_selection.experimental_design import inverse
-from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
 

@@ -16,9 +16,8 @@ from casadical.effects import Backlash, FrameDrift, PayloadError, ThermalGrowth
 from casadical.effects.instrument import Session
 from casadical.identification.accuracy import errors
 from casadical.identification.figures import fit_quality
-from casadical.identification.prior import carry_over
-from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
-from casadical.pose_selection.candidates import (
+from casadical.identification.pose_selection import Circumstances, Noise, Workspace, forecast
+from casadical.identification.pose_selection.candidates import (
     Candidates,
     _later_column,
     candidates_at,
@@ -30,10 +29,11 @@ from casadical.pose_selection.candidates import (
     scaled_jacobian,
     timeline,
 )
-from casadical.pose_selection.design_problem import _allowed
-from casadical.pose_selection.pose_search import Forecast, MeasurementPlan, select_poses
-from casadical.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
-from casadical.pose_selection.workspace import read_workspace
+from casadical.identification.pose_selection.design_problem import _allowed
+from casadical.identification.pose_selection.pose_search import Forecast, MeasurementPlan, select_poses
+from casadical.identification.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
+from casadical.identification.pose_selection.workspace import read_workspace
+from casadical.identification.prior import carry_over
 from casadical.robot.robot import Covariance, Knowledge
 
 ROBOT = planar()

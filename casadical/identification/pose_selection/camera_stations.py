@@ -23,14 +23,14 @@ from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.least_squares import LeastSquares
+from casadical.identification.pose_selection.candidates import draw
+from casadical.identification.pose_selection.experimental_design import Design, grow_to
+from casadical.identification.pose_selection.selection import readings_table, short_tour, travel_distances
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.identification.prior import DRAWN_GROUPS
 from casadical.identification.result import Identification
 from casadical.measurements.camera_noise import Camera, CameraNoise, lines_of_sight, whitening
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.pose_selection.candidates import draw
-from casadical.pose_selection.experimental_design import Design, grow_to
-from casadical.pose_selection.selection import readings_table, short_tour, travel_distances
-from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
 # Nearest and farthest distance of a target [m], and its largest angles off the camera's axis and

@@ -19,14 +19,14 @@ from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import Key
 from casadical.core.reporting.result import Result, Shown
 from casadical.core.statistics import thirds
+from casadical.identification.pose_selection.candidates import Circumstances, candidates_at, reachable_places
+from casadical.identification.pose_selection.design_problem import prepare
+from casadical.identification.pose_selection.experimental_design import improve, inverse, search
+from casadical.identification.pose_selection.instruments import Instrument, best_places
+from casadical.identification.pose_selection.selection import Selection, in_measuring_order, travel
+from casadical.identification.pose_selection.workspace import Workspace
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import Circumstances, candidates_at, reachable_places
-from casadical.pose_selection.design_problem import prepare
-from casadical.pose_selection.experimental_design import improve, inverse, search
-from casadical.pose_selection.instruments import Instrument, best_places
-from casadical.pose_selection.selection import Selection, in_measuring_order, travel
-from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
 
@@ -217,7 +217,7 @@ def forecast(
 
     Examples
     --------
-    >>> ahead = casadical.pose_selection.forecast(robot, 12, pool=100)
+    >>> ahead = casadical.identification.pose_selection.forecast(robot, 12, pool=100)
     >>> bool(ahead.error[-1] < ahead.error[0])
     True
     """
@@ -288,7 +288,7 @@ def place_instrument(
     Examples
     --------
     >>> corners = np.array([[1.0, 1.0, 0.5], [-1.0, 1.0, 0.0], [1.0, -1.0, 0.0]])
-    >>> casadical.pose_selection.place_instrument(robot, "wires", corners, 2).places.shape
+    >>> casadical.identification.pose_selection.place_instrument(robot, "wires", corners, 2).places.shape
     (2, 3)
     """
     room, rng = workspace or Workspace(), np.random.default_rng(seed)

@@ -12,11 +12,11 @@ from command_line import main
 
 from casadical import InputError, identify, write_robot
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_selection import Noise, Workspace, candidates, forecast, place_instrument
+from casadical.identification.pose_selection.candidates import expected, poses_at_places
+from casadical.identification.pose_selection.instruments import Instrument, best_places, usual_places
+from casadical.identification.pose_selection.pose_search import select_poses, select_with_places
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection import Noise, Workspace, forecast, place_instrument
-from casadical.pose_selection.candidates import SOCKET_COLUMN, expected, poses_at_places, reachable_places
-from casadical.pose_selection.instruments import Instrument, best_places, usual_places
-from casadical.pose_selection.pose_search import select_poses, select_with_places
 from casadical.project.planning import Places
 
 SIGMA = 5e-5
@@ -104,7 +104,7 @@ def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) ->
     chosen = select_with_places(robot, 40, "sockets", places, 2, noise=Noise(SIGMA), pool=150, restarts=1)
     near = plan(robot, Instrument("sockets", np.array([[0.5, 0.4, 0.2], [0.45, 0.35, 0.25]])))
     assert chosen.accuracy < near.accuracy
-    at = chosen.instrument.places[chosen.m.conditions[SOCKET_COLUMN].astype(int)]
+    at = chosen.instrument.places[chosen.m.conditions[candidates.SOCKET_COLUMN].astype(int)]
     np.testing.assert_allclose(expected(robot, chosen.q, {}, "test").position, at, atol=1e-6)
     assert set(chosen.table["point"]) <= {"S1", "S2"}
 
@@ -194,7 +194,7 @@ def test_a_folder_of_distances_is_not_planned_as_positions(monkeypatch, tmp_path
 def test_a_socket_out_of_reach_is_named_with_its_place(robot) -> None:
     far = np.array([[5.0, 0.25, 0.1], [6.0, 0.0, 0.0]])
     with pytest.raises(InputError, match=r"reaches 0 of 2 sockets, and 1 .* socket 1 at \(5000, 250, 100\) mm"):
-        reachable_places(robot, far, 1, Workspace(), np.random.default_rng(0))
+        candidates.reachable_places(robot, far, 1, Workspace(), np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("kind", ["wires", "sockets"])

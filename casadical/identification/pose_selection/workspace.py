@@ -129,9 +129,9 @@ class Workspace:
 
     Examples
     --------
-    >>> from casadical.pose_selection.workspace import Box
+    >>> from casadical.identification.pose_selection.workspace import Box
     >>> box = Box(np.array([0.5, -1, -1]), np.array([1.0, 1, 1]))
-    >>> where = casadical.pose_selection.Workspace(boxes=(box,))
+    >>> where = casadical.identification.pose_selection.Workspace(boxes=(box,))
     >>> q = np.array([[0.0, 0.0], [np.pi / 2, 0.0]])
     >>> where.allows(robot, q), sorted(where.refusals(robot, q))
     (array([False,  True]), ['box', 'joint range'])
