@@ -19,7 +19,6 @@ from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Hidden, Plant, campaign, draw_effect, perturb
 from casadical.blind_check.mujoco_physics.campaigns import MEASURED_COLUMNS, readings_of
 from casadical.blind_check.mujoco_physics.hidden import SECONDS_A_POSE
-from casadical.blind_check.mujoco_physics.plant import Building
 from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.prediction import nominal
 from casadical.blind_check.protocol import Kind
@@ -141,7 +140,8 @@ class Subject:
 
     nominal : nominal robot, for the physics
     model : text of the robot file that the diagnosis is given
-    building : which building errors the simulated robot has
+    base_shift, base_turn, mass_spread : building errors of the simulated robot, as of `perturb`
+    reflector : whether its reflector is displaced
     level : whether gravity is given in the measuring frame, not in the base frame
     poses : poses to measure, in their order, as columns of a campaign: readings, and those of
         time_s, temperature_degC, payload_kg, approach1 .. that are not to be simulated; None: poses
@@ -150,7 +150,10 @@ class Subject:
 
     nominal: Plant
     model: str
-    building: Building = Building()  # noqa: RUF009  (frozen)
+    base_shift: bool = True
+    base_turn: bool = True
+    reflector: bool = True
+    mass_spread: float = 0.0
     level: bool = True
     poses: pd.DataFrame | None = None
 
@@ -159,7 +162,14 @@ class Subject:
 
         Unless `level` is set, gravity stays the same in the base frame while the base tilts.
         """
-        plant = perturb(self.nominal, seed, building=self.building)
+        plant = perturb(
+            self.nominal,
+            seed,
+            tool_mm=1.0 if self.reflector else 0.0,
+            base_shift=self.base_shift,
+            base_turn=self.base_turn,
+            mass_spread=self.mass_spread,
+        )
         if self.level:
             return plant
         before, now = self.nominal.base[:3, :3], plant.base[:3, :3]
@@ -272,7 +282,7 @@ def make(
     )
     manifest = protocol.Manifest(
         key_sha256=protocol.sha256(inside.text().encode()),
-        campaigns={p.name: protocol.CampaignEntry(robot=p.robot) for p in todo},
+        campaigns={p.name: {"robot": p.robot} for p in todo},
     )
     # The key is written first, because campaigns without a key would be useless.
     texts = {key_folder / protocol.KEY_FILE: inside.text()}

@@ -28,7 +28,7 @@ from casadical.blind_check.generation import (
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.hidden import SECONDS_A_POSE, impossible
-from casadical.blind_check.mujoco_physics.plant import Building, home_frames
+from casadical.blind_check.mujoco_physics.plant import home_frames
 from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.prediction import answer_campaign
 from casadical.blind_check.protocol import Answer
@@ -72,16 +72,10 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
     if robot.targets:
         robot = replace(robot, targets=(), tool_name="")
         assumed.append("of its several measured points the first is measured")
-    building = Building(
-        base_shift=robot.base.unknown != "none" or robot.joints[0].beta is not None,
-        base_turn=robot.base.unknown == "pose" or robot.joints[0].beta is not None,
-        reflector=robot.tool.unknown != "none",
-    )
     weighed = with_estimated_masses(robot) if lacks_masses(robot) else robot
     # Standard deviation of the logarithm of simulated masses that are estimated from the reach.
     log_mass_sigma = 0.3
     if weighed.masses == "estimated":
-        building = replace(building, mass_spread=log_mass_sigma)
         assumed.append(f"masses of the links are estimates from the reach, each off by some {log_mass_sigma:.0%}")
     if "payload" not in taken:
         both = "no payload and {:g} kg in turns, or the latter alone where it is not logged"
@@ -131,8 +125,17 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
             words = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
             assumed.append(f"joint {', '.join(numbers)}: {words}")
     nominal = replace(nominal, stiffness=np.array(values))
-    level = robot.gravity_frame != "base"
-    return Subject(nominal, to_toml(robot), building, level, table), tuple(assumed)
+    subject = Subject(
+        nominal,
+        to_toml(robot),
+        base_shift=robot.base.unknown != "none" or robot.joints[0].beta is not None,
+        base_turn=robot.base.unknown == "pose" or robot.joints[0].beta is not None,
+        reflector=robot.tool.unknown != "none",
+        mass_spread=log_mass_sigma if weighed.masses == "estimated" else 0.0,
+        level=robot.gravity_frame != "base",
+        poses=table,
+    )
+    return subject, tuple(assumed)
 
 
 def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:

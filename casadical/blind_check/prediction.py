@@ -99,9 +99,11 @@ def predict(
             raise InputError(f"{path}: holds answers to another check; name another file by --out")
         done = set(answers)
     pending = [name for name in manifest.campaigns if name not in done]
-    robots = {c.robot: folder / protocol.ROBOTS_FOLDER / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
+    robot_of = {name: public["robot"] for name, public in manifest.campaigns.items()}
+    place = folder / protocol.ROBOTS_FOLDER
+    robots = {name: place / f"{name}.robot.toml" for name in robot_of.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
-    tasks = [(name, models[manifest.campaigns[name].robot], protocol.read_table(folder, name)) for name in pending]
+    tasks = [(name, models[robot_of[name]], protocol.read_table(folder, name)) for name in pending]
     with workers(executor) as pool, appending(path, protocol.whole_lines(path)) as add:
         if not path.stat().st_size:
             versions = {package: version(package) for package in ("casadical", "casadi", "numpy")}

@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -49,10 +49,8 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class CampaignEntry(_Strict):
-    """The public part of a campaign: its robot."""
-
-    robot: str
+# The public part of a campaign: its robot.
+Public = Annotated[dict[Literal["robot"], str], Field(min_length=1)]
 
 
 class Manifest(_Strict):
@@ -65,7 +63,7 @@ class Manifest(_Strict):
 
     format: Literal["casadical withheld 1"] = "casadical withheld 1"
     key_sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    campaigns: dict[str, CampaignEntry] = Field(min_length=1)
+    campaigns: dict[str, Public] = Field(min_length=1)
 
 
 class HiddenEffect(_Strict):

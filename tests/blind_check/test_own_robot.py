@@ -150,8 +150,8 @@ def test_what_is_assumed_is_said() -> None:
     assert any("no payload" in text for text in assumed)
     _, of_planar = subject_of(read_campaign_robot(ROOT / "problems" / "planar"))
     assert any("masses of the links are estimates" in text for text in of_planar)
-    assert subject.building.base_turn
-    assert not subject_of(read_campaign_robot(ROOT / "problems" / "planar"))[0].building.base_shift
+    assert subject.base_turn
+    assert not subject_of(read_campaign_robot(ROOT / "problems" / "planar"))[0].base_shift
 
 
 def test_gravity_of_a_base_turns_with_it(gantry: Path) -> None:

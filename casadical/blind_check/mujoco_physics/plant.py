@@ -256,22 +256,6 @@ def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
     return table
 
 
-@dataclass(frozen=True)
-class Building:
-    """Which building errors a robot has: those that its model leaves open.
-
-    base_shift, base_turn : whether the base is shifted and turned in the measuring frame, first
-        link included
-    reflector : whether the reflector is displaced
-    mass_spread : standard deviation of the logarithm of the links' masses
-    """
-
-    base_shift: bool = True
-    base_turn: bool = True
-    reflector: bool = True
-    mass_spread: float = 0.0
-
-
 def perturb(
     plant: Plant,
     seed: int,
@@ -281,7 +265,9 @@ def perturb(
     base: tuple[float, float] = (0.03, 2.0),
     tool_mm: float = 1.0,
     stiffness_spread: float = 0.4,
-    building: Building = Building(),
+    base_shift: bool = True,
+    base_turn: bool = True,
+    mass_spread: float = 0.0,
 ) -> Plant:
     """Return the robot with random building errors: six of every link, and those of the arguments.
 
@@ -291,19 +277,21 @@ def perturb(
     base : largest displacement [m] and rotation [deg] of the robot's base in the measuring frame
     tool_mm : standard deviation of each coordinate of the reflector's error [mm]
     stiffness_spread : standard deviation of the logarithm of the joint stiffnesses
-    building : which errors it has; by default all but those of the masses
+    base_shift, base_turn : whether the base is shifted and turned in the measuring frame, with the
+        first link
+    mass_spread : standard deviation of the logarithm of the links' masses
     """
     links, bars, place, tool, spring = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5))
     turns, shifts = links.normal(0, angle_mrad * 1e-3, (plant.n, 3)), links.normal(0, length_mm * 1e-3, (plant.n, 3))
-    turns[0] *= building.base_turn
-    shifts[0] *= building.base_shift
+    turns[0] *= base_turn
+    shifts[0] *= base_shift
     bar = plant.four_bar
     if bar is not None:
         crank, coupler, zero = bars.normal(0, [length_mm, length_mm, angle_mrad]) * 1e-3
         lengths = {"crank_m": bar.crank_m + crank, "coupler_m": bar.coupler_m + coupler}
         bar = replace(bar, **lengths, crank_zero_rad=bar.crank_zero_rad + zero)
-    turned = building.base_turn * np.deg2rad(base[1]) * _in_ball(place)
-    shifted = building.base_shift * base[0] * _in_ball(place)
+    turned = base_turn * np.deg2rad(base[1]) * _in_ball(place)
+    shifted = base_shift * base[0] * _in_ball(place)
     before, frame, home = np.eye(4), np.eye(4), []
     for nominal, error in zip(plant.home, motion(turns, shifts, np.zeros(3)), strict=True):
         frame = frame @ np.linalg.solve(before, nominal) @ error  # by its error, in the link's own axes
@@ -313,9 +301,9 @@ def perturb(
         plant,
         home=np.array(home),
         base=plant.base @ motion(turned, shifted, np.zeros(3)),
-        reflector=plant.reflector + building.reflector * tool.normal(0, tool_mm * 1e-3, 3),
+        reflector=plant.reflector + tool.normal(0, tool_mm * 1e-3, 3),
         stiffness=plant.stiffness * np.exp(spring.normal(0, stiffness_spread, plant.n)),
-        mass=plant.mass * np.exp(building.mass_spread * spring.normal(0, 1.0, plant.n)),
+        mass=plant.mass * np.exp(mass_spread * spring.normal(0, 1.0, plant.n)),
         four_bar=bar,
     )
 
