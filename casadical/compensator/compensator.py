@@ -8,7 +8,7 @@ to the computed one. Positions are in the measuring frame.
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from casadical.compensator.layout import JointBox, Layout, box_around
 from casadical.compensator.network import Loss, Network, Task, joint_angles, make_task, residuals, training_masks
-from casadical.compensator.trainers.base import Trainer
+from casadical.compensator.trainers.base import State, Trainer
 from casadical.compensator.trainers.registry import trainer_named
 from casadical.core.basics import Array, InputError
 
@@ -87,40 +87,9 @@ def table(rows: dict[str, BeforeAfter]) -> str:
     return "\n".join(lines)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a series of trainings.
-
-    training : number of the current training, from 1
-    trainings : number of all trainings
-    step : number of steps done in the current training
-    loss_mm2 : the task's `Loss` (by default eq. 14) at its best weights so far [mm^2]
-    """
-
-    training: int
-    trainings: int
-    step: int
-    loss_mm2: float
-
-
-@dataclass(frozen=True, eq=False)
-class Training:
-    """Outcome of one training.
-
-    weights : best weights, shape (count,), in the order of `Layout`
-    loss_mm2 : the task's `Loss` (by default eq. 14) of the training poses [mm^2]
-    steps : number of steps
-    reasons : why the training stopped, as text
-    note : what the trainer chose by itself, in words
-    history : (step, loss [mm^2]) at regular intervals
-    """
-
-    weights: Array = field(repr=False)
-    loss_mm2: float
-    steps: int
-    reasons: tuple[str, ...]
-    note: str
-    history: tuple[tuple[int, float], ...] = field(repr=False)
+# Function that is called during each training with the number of steps done and the loss [mm^2] at
+# the best weights so far.
+Progress = Callable[[int, float], None]
 
 
 def train(
@@ -129,9 +98,9 @@ def train(
     *,
     seed: int = 0,
     every: int = 50,
-    progress: Callable[[Progress], None] | None = None,
-) -> Training:
-    """Train one network and return the outcome; see `train_all`.
+    progress: Progress | None = None,
+) -> State:
+    """Train one network and return its last state; see `train_all`.
 
     task : the training problem; trainer, seed, every, progress : as of `train_all`
 
@@ -152,30 +121,30 @@ def train_all(
     *,
     seed: int = 0,
     every: int = 50,
-    progress: Callable[[Progress], None] | None = None,
-) -> list[Training]:
-    """Train one network for each task, one after the other, and return the outcomes.
+    progress: Progress | None = None,
+) -> list[State]:
+    """Train one network for each task, one after the other, and return the last states.
 
     tasks : training problems
     trainer : trainer with its settings
     seed : seed of every training, the same for all
     every : number of steps between two calls of `progress` and two entries of the history
-    progress : function that is called with the state of the series
+    progress : see `Progress`
     Raises InputError: `every` is below 1.
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")
-    done: list[Training] = []
-    for number, task in enumerate(tasks, 1):
+    done: list[State] = []
+    for task in tasks:
         history: list[tuple[int, float]] = []
-        for steps, weights, reasons, note in trainer.states(task, seed):
-            if not reasons and (steps == 0 or steps % every):
+        for state in trainer.states(task, seed):
+            if not state.reasons and (state.steps == 0 or state.steps % every):
                 continue
-            history.append((steps, float(task.losses(weights[None])[0])))
-            if reasons:
-                done.append(Training(weights, history[-1][1], steps, reasons, note, tuple(history)))
+            history.append((state.steps, float(task.losses(state.weights[None])[0])))
+            if state.reasons:
+                done.append(state._replace(history=tuple(history)))
             if progress is not None:
-                progress(Progress(number, len(tasks), *history[-1]))
+                progress(*history[-1])
     return done
 
 
@@ -247,7 +216,7 @@ class Compensator:
         seed: int = 0,
         folds: int = 5,
         margin: float = 1.0,
-        progress: Callable[[Progress], None] | None = None,
+        progress: Progress | None = None,
     ) -> Self:
         """Return a network trained on residuals, or the null compensator if it does not help.
 

@@ -68,7 +68,7 @@ def source(f: ca.Function) -> str | None:
         elif name == "const":
             value = f"BOTH({_number(constant)})"
         elif name in OPERATIONS:
-            value = OPERATIONS[name].c.format(*(f"a{j}" for j in operands))
+            value = OPERATIONS[name][1].format(*(f"a{j}" for j in operands))
         else:
             return None
         lines.append(f"a{results[0]} = {value};")

@@ -113,41 +113,35 @@ class SxInstructions:
         """Return the numpy function of an operation, by its name."""
         if name not in OPERATIONS:
             raise NotImplementedError(f"{self.name}: CasADi operation {name} has no numpy counterpart here")
-        return OPERATIONS[name].numpy
+        return OPERATIONS[name][0]
 
 
-class Operation(NamedTuple):
-    """An operation as a numpy function and as a C expression for `mapped_function`.
-
-    numpy : function of arrays
-    c : template of the C expression of two points at a time; {0} and {1} are its operands
-    """
-
-    numpy: Callable[..., Any]
-    c: str
+# An operation as a numpy function of arrays, and as a template of the C expression of two points at
+# a time for `mapped_function`, in which {0} and {1} are its operands.
+Operation = tuple[Callable[..., Any], str]
 
 
 def _unary(numpy: Callable[[Any], Any], c: str) -> Operation:
     """Return the operation of a function of one number; c : name of the C function."""
-    return Operation(numpy, f"ONE({c}, {{0}})")
+    return numpy, f"ONE({c}, {{0}})"
 
 
 def _binary(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
     """Return the operation of a function of two numbers; c : name of the C function."""
-    return Operation(numpy, f"TWO({c}, {{0}}, {{1}})")
+    return numpy, f"TWO({c}, {{0}}, {{1}})"
 
 
 # CasADi operations with their counterparts in numpy and C, by name in lower case.
-OPERATIONS = {
-    "assign": Operation(lambda a: a, "{0}"),
-    "add": Operation(np.add, "{0} + {1}"),
-    "sub": Operation(np.subtract, "{0} - {1}"),
-    "mul": Operation(np.multiply, "{0} * {1}"),
-    "div": Operation(np.divide, "{0} / {1}"),
-    "neg": Operation(np.negative, "-{0}"),
-    "sq": Operation(np.square, "{0} * {0}"),
-    "twice": Operation(lambda a: 2.0 * a, "2.0 * {0}"),
-    "inv": Operation(lambda a: 1.0 / a, "1.0 / {0}"),
+OPERATIONS: dict[str, Operation] = {
+    "assign": (lambda a: a, "{0}"),
+    "add": (np.add, "{0} + {1}"),
+    "sub": (np.subtract, "{0} - {1}"),
+    "mul": (np.multiply, "{0} * {1}"),
+    "div": (np.divide, "{0} / {1}"),
+    "neg": (np.negative, "-{0}"),
+    "sq": (np.square, "{0} * {0}"),
+    "twice": (lambda a: 2.0 * a, "2.0 * {0}"),
+    "inv": (lambda a: 1.0 / a, "1.0 / {0}"),
     **{
         name: _unary(getattr(np, name), name)
         for name in (

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm, next_step
-from casadical.core.reporting.figure import Axis, Figure, Series, Span
+from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.core.reporting.plain import WRITTEN, Key, plain, written
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of, ranked
@@ -385,7 +385,7 @@ def _course(found: Comparison, change: Change, step: int | None) -> Figure:
         tip="<b>%{customdata}</b><br>%{y:.3g} " + main.unit,
     )
     first, last = change.between
-    spans = [] if change.course == "season" else [Span(x[max(first - 1, 0)], x[last])]
+    shaded = None if change.course == "season" else (x[max(first - 1, 0)], x[last])
     # Caption of the figure of a change over the campaigns.
     course_caption = (
         "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. "
@@ -399,7 +399,7 @@ def _course(found: Comparison, change: Change, step: int | None) -> Figure:
         Axis("campaign", step=step),
         Axis(f"{what} [{main.unit}]"),
         caption=course_caption,
-        marks=spans,
+        shaded=shaded,
     )
 
 

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.compensator import Compensator
-from casadical.compensator.compensator import Progress
 from casadical.compensator.trainers.registry import network_methods
 from casadical.core.basics import Array, Show, silent
 from casadical.core.reporting.plain import Key
@@ -110,8 +109,8 @@ def train_networks(
     chosen = ", judged on choose" if "choose" in sets else ", judged by cross-validation in it"
     for method in methods:
 
-        def progress(p: Progress, method: str = method) -> None:
-            show(f"{method} step {p.step}, loss {p.loss_mm2:.4g} mm2")
+        def progress(step: int, loss_mm2: float, method: str = method) -> None:
+            show(f"{method} step {step}, loss {loss_mm2:.4g} mm2")
 
         kind = trainers[method]
         network = fit(trainer=kind.for_method(), output_scale_mm=kind.output_scale_mm, progress=progress)

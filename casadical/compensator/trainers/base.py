@@ -16,12 +16,19 @@ class State(NamedTuple):
     weights : best weights so far, shape (count,), in the order of `Layout`
     reasons : why the training is over, as text; empty as long as it should continue
     note : in words what the trainer chose by itself, once it is over; empty if nothing
+    history : (step, loss [mm^2]) at regular intervals, once it is over (see `train`)
     """
 
     steps: int
     weights: Array
     reasons: tuple[str, ...] = ()
     note: str = ""
+    history: tuple[tuple[int, float], ...] = ()
+
+    @property
+    def loss_mm2(self) -> float:
+        """Return the task's `Loss` (by default eq. 14) of a training that is over [mm^2]."""
+        return self.history[-1][1]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from math import log10
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casadical.core.basics import optional
-from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
+from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, ticks_of_decades
 
 # Only type checkers import plotly here; it is loaded when a figure is drawn.
 if TYPE_CHECKING:
@@ -100,6 +100,9 @@ def draw(figure: Figure) -> Picture:
         picture.update_layout(hovermode="y unified").update_yaxes(unifiedhovertitle_text=figure.over)
     for series in figure.series:
         _add(picture, figure, series)
+    if figure.shaded is not None:
+        first, last = figure.shaded
+        picture.add_vrect(x0=first, x1=last, fillcolor=_colour("orange"), opacity=0.2, line_width=0)
     for mark in figure.marks:
         _mark(picture, figure, mark)
     return picture
@@ -231,12 +234,9 @@ def _panels(picture: Picture, figure: Figure) -> None:
         picture.update_yaxes(**_axis(panel.y), **place)
 
 
-def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
-    """Add a rule, a span or a note to the picture."""
-    if isinstance(mark, Span):
-        role = _colour(mark.colour)
-        picture.add_vrect(x0=mark.first, x1=mark.last, fillcolor=role, opacity=0.2, line_width=0)
-    elif isinstance(mark, Rule):
+def _mark(picture: Picture, figure: Figure, mark: Rule | Note) -> None:
+    """Add a rule or a note to the picture."""
+    if isinstance(mark, Rule):
         line = {"color": _colour(mark.colour), "width": mark.width, "dash": mark.dash}
         (picture.add_vline if mark.axis == "x" else picture.add_hline)(**{mark.axis: mark.at}, line=line)
         if mark.text:

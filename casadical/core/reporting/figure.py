@@ -108,15 +108,6 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Span:
-    """A shaded interval of the x axis, from `first` to `last`, in the unit of the axis."""
-
-    first: Any
-    last: Any
-    colour: str = "orange"
-
-
-@dataclass(frozen=True)
 class Note:
     """A text in a figure.
 
@@ -157,7 +148,8 @@ class Figure:
     x, y : axes; with panels their titles are those of the whole figure
     height : height [px]
     rows : words on the y axis, from the top, in place of numbers
-    marks : rules, spans and notes in the figure
+    marks : rules and notes in the figure
+    shaded : ends of a shaded interval of the x axis, in its unit; None: nothing is shaded
     panels : plots of a figure with several of them
     shared : axes that the panels share: "x", "y", "xy" or ""
     right : margin at the right [px]
@@ -172,7 +164,8 @@ class Figure:
     height: int = 360
     caption: str = ""
     rows: Sequence[str] = ()
-    marks: Sequence[Rule | Span | Note] = ()
+    marks: Sequence[Rule | Note] = ()
+    shaded: tuple[Any, Any] | None = None
     panels: Sequence[Panel] = ()
     shared: str = ""
     right: int = 12

@@ -9,7 +9,7 @@ import pytest
 from casadical.cli.terminal import refusal, wrapped
 from casadical.core.reporting import pdf
 from casadical.core.reporting.blocks import Page, Section, Table, Tile, Words, figures_named
-from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series, Span, ticks_of_decades
+from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series, ticks_of_decades
 from casadical.core.reporting.page import html_of
 from casadical.core.reporting.result import html, plain_text
 
@@ -82,7 +82,7 @@ def test_a_figure_is_drawn_as_its_data_say() -> None:
     pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
     from casadical.core.reporting.drawing import COLOURS, draw
 
-    picture = draw(drawn(marks=[Rule("y", 5.0), Note("here", 2, 1.0), Span(1, 2)]))
+    picture = draw(drawn(marks=[Rule("y", 5.0), Note("here", 2, 1.0)], shaded=(1, 2)))
     (trace,) = picture.data
     assert (list(trace.x), list(trace.y), trace.line.color) == ([1, 2, 3], [0.1, 1.0, 10.0], COLOURS["red"][0])
     assert (trace.name, picture.layout.title.text) == ("a &lt;b&gt;", "Errors &lt;i&gt;")  # a user's text stays text
