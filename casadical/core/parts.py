@@ -14,14 +14,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
-from casadical.core.schema import TomlTable
+from casadical.core.schema import LENGTH, TomlTable
 
 # Smallest angle between consecutive joint axes that are not nearly parallel [rad]; below it the
 # parameter beta replaces d.
@@ -265,16 +265,19 @@ WIDTHS: Mapping[str, Width] = {
 }
 
 
-@dataclass(frozen=True)
-class BodyWidth:
+class BodyWidth(TomlTable):
     """Prior standard deviations of the masses and mass centres of links, declared or estimated.
 
-    share : relative standard deviation of a mass
-    centre : standard deviation of each coordinate of a mass centre [m]
+    It is the table [width.body] of a robot file, too.
+
+    mass_share : relative standard deviation of a mass
+    com : standard deviation of each coordinate of a mass centre [m]
     """
 
-    share: float = 0.2
-    centre: float = 0.03
+    model_config = ConfigDict(frozen=True)
+
+    mass_share: float = Field(default=0.2, ge=0)
+    com: Annotated[float, LENGTH, Field(ge=0)] = 0.03
 
 
 class Sessions(TomlTable):
@@ -523,5 +526,6 @@ def with_estimated_masses(robot: A) -> A:
         replace(joint, body=Body(float(f"{mass:.3g}"), np.asarray(end / 2)))
         for joint, mass, end in zip(robot.joints, masses, [*ends, robot.tool.T[:3, 3]], strict=True)
     )
-    width = BodyWidth(2.0, float(f"{0.1 * robot.reach:.2g}"))
+    com = float(f"{0.1 * robot.reach:.2g}")
+    width = BodyWidth.model_validate({"mass_share": 2.0, "com_m": com})
     return replace(robot, joints=joints, masses="estimated", body_width=width)

@@ -312,7 +312,7 @@ def _with_masses_and_order_varied(found: Diagnosis) -> Diagnosis:
                 width = case.given.body_width
                 said.append(
                     f"the masses are as declared: {cause.label} hangs on them; if they are wrong by "
-                    f"{100 * width.share:.2g} % and {1e3 * width.centre:.2g} mm (one sigma), it is "
+                    f"{100 * width.mass_share:.2g} % and {1e3 * width.com:.2g} mm (one sigma), it is "
                     f"{_most_likely(ranking)}; weigh the links, or measure with another payload"
                 )
         if _needs(cause.effects, derived):

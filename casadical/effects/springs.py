@@ -143,10 +143,10 @@ class LinkMasses(Effect):
         """Return one `LinkMasses` if the arm has elastic joints and uncertain bodies, else none."""
         width = arm.body_width
         there = [bool(j.body and j.body.mass > 0) for j in arm.joints]
-        share = tuple(width.share * yes for yes in there)
-        centre = tuple(max(width.centre, _undeclared(arm, i)) * yes for i, yes in enumerate(there))
+        share = tuple(width.mass_share * yes for yes in there)
+        centre = tuple(max(width.com, _undeclared(arm, i)) * yes for i, yes in enumerate(there))
         compliant = any(j.compliance is not None for j in arm.joints)
-        return (cls(None, share, centre),) if compliant and (any(share) or (width.centre and any(centre))) else ()
+        return (cls(None, share, centre),) if compliant and (any(share) or (width.com and any(centre))) else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         """Return prior sigma and unit of each error of a mass or mass centre, by name.

@@ -8,7 +8,7 @@ choice, the simpler table wins: d = 0 before a nearly parallel axis, a >= 0 (but
 
 import operator
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate
 
 import numpy as np
@@ -21,26 +21,15 @@ from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
 ROUNDING_TOLERANCE = 1e-14
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """A chain in modified DH form.
-
-    base : frame 0 in the frame in which the axes were given, shape (4, 4) [m]
-    rows : one per axis, with their geometry only; limits, kinds and bodies are the defaults
-    frames : link frames at zero joint variables in the frame of the given axes, each (4, 4) [m]
-    tool : the tip in the last link's frame, shape (4, 4) [m]
-    """
-
-    base: Array
-    rows: tuple[Joint, ...]
-    frames: tuple[Array, ...]
-    tool: Array
-
-
-def rows_from_axes(points: Sequence[Array], directions: Sequence[Array], tip: Array) -> Chain:
+def rows_from_axes(
+    points: Sequence[Array], directions: Sequence[Array], tip: Array
+) -> tuple[Array, tuple[Joint, ...], tuple[Array, ...], Array]:
     """Return the modified DH form of a chain given by its joint axes at zero joint variables.
 
-    Axes may be parallel, antiparallel, intersecting or coincident.
+    The four values are frame 0 in the common frame, shape (4, 4) [m]; one row per axis, with its
+    geometry only; the link frames at zero joint variables in the common frame, each (4, 4) [m]; and
+    the tip in the last link's frame, shape (4, 4) [m]. Axes may be parallel, antiparallel,
+    intersecting or coincident.
 
     points, directions : any point on each axis [m] and its unit vector, shape (3,) each, from base
         to tip in a common frame; tip : chain's end in that frame, shape (4, 4) [m]
@@ -70,7 +59,7 @@ def rows_from_axes(points: Sequence[Array], directions: Sequence[Array], tip: Ar
         rows.append(row)
         frames.append(T)
         row = following if k + 1 < len(points) else row
-    return Chain(base, tuple(rows), tuple(frames), np.linalg.inv(T) @ tip)
+    return base, tuple(rows), tuple(frames), np.linalg.inv(T) @ tip
 
 
 def frames_at_zero(rows: Sequence[Joint]) -> list[Array]:

@@ -154,7 +154,7 @@ class Dynamics:
         sigma = []
         for joint in self.robot.joints:
             shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else 1.0
-            sigma += [width.share / 2, *[width.centre] * 3, *[shape / 2] * 6]
+            sigma += [width.mass_share / 2, *[width.com] * 3, *[shape / 2] * 6]
         stated = drive is not None and drive.inertia_at_joint(self.robot.n) is not None
         return np.array([*sigma, *[0.1 if stated else 2.0] * self.robot.n])
 

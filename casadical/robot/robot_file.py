@@ -160,7 +160,7 @@ def to_toml(
     width_units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
     widths = {group: in_file_units(w, **width_units) for group, w in robot.widths.items() if w != WIDTHS[group]}
     if robot.body_width != BodyWidth():
-        widths["body"] = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
+        widths["body"] = {"mass_share": robot.body_width.mass_share, "com_mm": _mm(robot.body_width.com)}
     four_bar_units = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
     tables = {
         "casadical": 2 if more else 1,

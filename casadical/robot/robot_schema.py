@@ -255,13 +255,6 @@ class _Width(TomlTable):
     angle_prior: HalfAngle = None
 
 
-class _BodyWidth(TomlTable):
-    """Prior standard deviations of masses (share) and mass centres [m] in a file."""
-
-    mass_share: float = Field(default=parts.BodyWidth().share, ge=0)
-    com: Annotated[float, LENGTH, Field(ge=0)] = parts.BodyWidth().centre
-
-
 class _Widths(TomlTable):
     """Bounds and priors of all groups in a file."""
 
@@ -270,16 +263,12 @@ class _Widths(TomlTable):
     loop: _Width = _Width()
     tool: _Width = _Width()
     compliance: _Width = _Width()
-    body: _BodyWidth = _BodyWidth()
+    body: parts.BodyWidth = parts.BodyWidth()
 
     def widths(self) -> dict[str, parts.Width]:
         """Return group of parameters -> its bounds and priors, the default ones where not given."""
         given = {group: getattr(self, group).model_dump(exclude_none=True) for group in parts.WIDTHS}
         return {group: replace(default, **given[group]) for group, default in parts.WIDTHS.items()}
-
-    def bodies(self) -> parts.BodyWidth:
-        """Return the prior standard deviations of masses and mass centres."""
-        return parts.BodyWidth(self.body.mass_share, self.body.com)
 
 
 class RobotTables(TomlTable):
@@ -306,7 +295,7 @@ class RobotTables(TomlTable):
         if self.payload is not None:
             made["payload"] = self.payload.body().moved(robot.tool.T)
         if "width" in given:
-            made |= {"widths": self.width.widths(), "body_width": self.width.bodies()}
+            made |= {"widths": self.width.widths(), "body_width": self.width.body}
         return replace(robot, **made)
 
 
@@ -389,7 +378,7 @@ class RobotFile(RobotTables):
             gravity_frame=self.gravity.frame,
             payload=payload,
             widths=self.width.widths(),
-            body_width=self.width.bodies(),
+            body_width=self.width.body,
             tool_name=self.tool_name,
             targets=tuple(parts.Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
             masses=self.masses,

@@ -75,14 +75,14 @@ def test_as_a_nuisance_they_are_in_the_base_model_and_never_named(stiffnesses: b
 
 
 def test_widths_are_those_of_the_robot_file(tmp_path: Path) -> None:
-    own = replace(robot("ur10e"), body_width=BodyWidth(0.1, 0.005))
+    own = replace(robot("ur10e"), body_width=BodyWidth.model_validate({"mass_share": 0.1, "com_mm": 5.0}))
     write_robot(own, tmp_path / "own.robot.toml")
     again = read_robot(tmp_path / "own.robot.toml")
     assert again.body_width == own.body_width
     (effect,) = LinkMasses.candidates(again)
     sizes = effect.sizes()
     assert (sizes["m3"], sizes["y3"]) == ((0.1, "kg/kg"), (0.005, "m"))
-    exact = replace(own, body_width=BodyWidth(0.0, 0.0))
+    exact = replace(own, body_width=BodyWidth.model_validate({"mass_share": 0.0, "com_mm": 0.0}))
     assert not list(LinkMasses.candidates(exact))
     assert "link_masses" not in {c.label for c in candidates_of(exact, "standard")}
 

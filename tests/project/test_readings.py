@@ -171,7 +171,7 @@ def test_a_urdf_says_in_problem_toml_what_it_has_no_place_for(tmp_path: Path, mo
         f'casadical = 1\ntitle = "t"\nrobot = "arm.urdf"\n[urdf]\ntip_link = "hand"\n{URDF}'
     )
     robot = read_campaign_robot(tmp_path)
-    assert (robot.gravity_frame, robot.drive.friction, robot.body_width.share, robot.masses) == (
+    assert (robot.gravity_frame, robot.drive.friction, robot.body_width.mass_share, robot.masses) == (
         *("logged", 1.5, 0.1, "estimated"),
     )
     flange = robot.tool.T  # the payload's centre is given in the tip link

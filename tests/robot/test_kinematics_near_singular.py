@@ -41,8 +41,8 @@ def test_rows_of_nearly_parallel_axes_move_like_their_screws(steps, seed):
         axes.append((axes[-1][0] + offset, z))
     rng = np.random.default_rng(seed)
     tip = shift(*rng.uniform(-1, 1, 3)) @ turn("xyz", rng.uniform(-3, 3, 3))
-    chain = rows_from_axes(*zip(*axes, strict=True), tip)
-    arm = Robot("near", chain.rows, Placement(chain.base), Placement(chain.tool))
+    base, rows, _, tool = rows_from_axes(*zip(*axes, strict=True), tip)
+    arm = Robot("near", rows, Placement(base), Placement(tool))
     q = rng.uniform(-3, 3, len(axes))
     expected = np.eye(4)
     for axis, angle in zip(axes, q, strict=True):
@@ -51,8 +51,8 @@ def test_rows_of_nearly_parallel_axes_move_like_their_screws(steps, seed):
     np.testing.assert_allclose(p.full().ravel(), (expected @ tip)[:3, 3], rtol=0, atol=1e-12)
     np.testing.assert_allclose(R.full(), (expected @ tip)[:3, :3], rtol=0, atol=1e-12)
     # No offset runs away along a common normal far off: all stay within the size of the arm.
-    assert max(max(abs(j.a), abs(j.d)) for j in chain.rows) < 1 + len(axes)
-    assert all(j.beta is not None for j in chain.rows[1:])
+    assert max(max(abs(j.a), abs(j.d)) for j in rows) < 1 + len(axes)
+    assert all(j.beta is not None for j in rows[1:])
 
 
 @SAMPLING

@@ -92,17 +92,18 @@ def _ur_text(path: Path, name: str) -> str:
             )
         T = T @ frame(from_rpy(np.array(numbers[3:])), np.array(numbers[:3]))
         frames.append(T)
-    chain = rows_from_axes([T[:3, 3] for T in frames], [T[:3, 2] for T in frames], frames[-1])
+    points, directions = [T[:3, 3] for T in frames], [T[:3, 2] for T in frames]
+    frame_0, chain, _, _ = rows_from_axes(points, directions, frames[-1])
     units = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad", "beta": "rad"}
     rows = [
         "\n".join(
             f"{key}_{unit} = {getattr(row, key)!r}" for key, unit in units.items() if getattr(row, key) is not None
         )
-        for row in chain.rows
+        for row in chain
     ]
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention="modified", table=path.name.replace('"', "'"))
     said = f"# Hash of the controller's calibration: {links['hash']}\n" if links and "hash" in links else ""
-    base = f"xyz_m = {chain.base[:3, 3].tolist()}\nrpy_rad = {to_rpy(chain.base[:3, :3]).tolist()}\n"
+    base = f"xyz_m = {frame_0[:3, 3].tolist()}\nrpy_rad = {to_rpy(frame_0[:3, :3]).tolist()}\n"
     text = head.replace("[base] ", f"{said}[base] ", 1).replace('unknown = "pose" ', f'{base}unknown = "pose" ', 1)
     return text + "\n" + "\n\n".join(f"[[joint]]\n{row}" for row in rows) + "\n"
 

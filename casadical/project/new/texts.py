@@ -291,8 +291,8 @@ def with_masses(text: str, robot: Robot, standard: bool) -> str:
     lines, following = [], [*robot.joints[1:], None]
     width = f"""\
 [width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
-mass_share = {robot.body_width.share:g}
-com_mm = {1e3 * robot.body_width.centre:g}
+mass_share = {robot.body_width.mass_share:g}
+com_mm = {1e3 * robot.body_width.com:g}
 # compliant = true in a [[joint]]: its deflection under gravity is identified too, by the method SKCM
 """
     line = 'masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out\n'

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
-from casadical.robot.axes import Chain, rows_from_axes
+from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Joint, Placement, possible_inertia
+from casadical.robot.axes import rows_from_axes
 from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import MAX_JOINTS, far_centre
 from casadical.robot.urdf.tree import Tree, parse_urdf
@@ -23,7 +23,7 @@ class UrdfChain:
     moving : the moving joints (yourdfpy's) from base to tip
     fixed_tip : the fixed joint before the tip, None if there is none
     frames : of the base link and all below it, at zero readings, in its frame, each (4, 4) [m]
-    dh : the same chain in modified DH form
+    base, rows, link_frames, tool : the same chain in modified DH form (see `rows_from_axes`)
     bodies : body that each moving joint moves and the next does not, in the link's modified DH
         frame; None without mass
     up : the root link's z axis in the base link's frame, shape (3,)
@@ -37,7 +37,10 @@ class UrdfChain:
     moving: tuple[Any, ...]
     fixed_tip: Any | None
     frames: dict[str, Array]
-    dh: Chain
+    base: Array
+    rows: tuple[Joint, ...]
+    link_frames: tuple[Array, ...]
+    tool: Array
     bodies: tuple[Body | None, ...]
     up: Array
     notes: tuple[str, ...]
@@ -72,7 +75,7 @@ def read_urdf(
     if unknown := set(compliant) - set(range(1, len(chain.moving) + 1)):
         raise InputError(f"{path}: compliant joint {min(unknown)} is not there; the chain has 1..{len(chain.moving)}")
     joints = []
-    for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1):
+    for i, (row, j, body) in enumerate(zip(chain.rows, chain.moving, chain.bodies, strict=True), 1):
         kind: Literal["revolute", "prismatic"] = "prismatic" if j.type == "prismatic" else "revolute"
         lower, upper = _range(j, str(path))
         coupling, leader = chain.followed[i - 1]
@@ -82,9 +85,9 @@ def read_urdf(
     robot = Robot(
         name=chain.name or Path(path).stem,
         joints=tuple(joints),
-        base=Placement(chain.dh.base, "pose"),
-        tool=Placement(chain.dh.tool, "position"),
-        gravity=-STANDARD_GRAVITY * chain.dh.base[:3, :3].T @ chain.up,
+        base=Placement(chain.base, "pose"),
+        tool=Placement(chain.tool, "position"),
+        gravity=-STANDARD_GRAVITY * chain.base[:3, :3].T @ chain.up,
         gravity_frame="base",
         notes=chain.notes,
     )
@@ -123,8 +126,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     followed = _followed(moving, {j.name: j for j in urdf.joints}, str(path))
     frames, movers = tree.at_zero(base, own)
     directions = [frames[j.child][:3, :3] @ (j.axis / np.linalg.norm(j.axis)) for j in moving]
-    dh = rows_from_axes([frames[j.child][:3, 3] for j in moving], directions, frames[tip])
-    bodies = _bodies(urdf, tree, dh, frames, movers)
+    points = [frames[j.child][:3, 3] for j in moving]
+    frame_0, rows, link_frames, tool = rows_from_axes(points, directions, frames[tip])
+    bodies = _bodies(urdf, tree, link_frames, frames, movers)
     notes = [f"from {path.name}: {base} to {tip}"]
     if aside := [j.name for j in urdf.joints if j.type != "fixed" and movers.get(j.child) and j.name not in own]:
         notes.append(f"masses on side branches stand as at zero reading of {', '.join(aside)}")
@@ -157,7 +161,10 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         moving=moving,
         fixed_tip=joints[-1] if joints[-1].type == "fixed" else None,
         frames=frames,
-        dh=dh,
+        base=frame_0,
+        rows=rows,
+        link_frames=link_frames,
+        tool=tool,
         bodies=bodies,
         up=tree.frame_of(base)[2, :3],
         notes=tuple(notes),
@@ -230,13 +237,15 @@ def _range(joint: Any, source: str) -> tuple[float, float]:
 
 
 def _bodies(
-    urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], movers: dict[str, int]
+    urdf: Any, tree: Tree, links: Sequence[Array], frames: dict[str, Array], movers: dict[str, int]
 ) -> tuple[Body | None, ...]:
     """Return the body that each joint moves and the next does not, None where it has no mass.
 
     It is in the frame of the joint's link by its modified DH row.
+
+    links : these frames, each (4, 4) [m], in the frame of `frames`
     """
-    parts: list[list[Body]] = [[] for _ in range(len(dh.rows) + 1)]
+    parts: list[list[Body]] = [[] for _ in range(len(links) + 1)]
     for link in urdf.links:
         mass = link.inertial.mass if link.inertial and link.name in frames else None
         if mass is None or mass == 0:
@@ -245,9 +254,8 @@ def _bodies(
             raise InputError(f"{tree.source}: link {link.name!r} has the mass {mass:g} kg; it must be positive or zero")
         own = Body(float(mass), np.zeros(3), _inertia(link))
         parts[movers[link.name]].append(own.moved(frames[link.name] @ tree.origin(link.inertial)))
-    return tuple(
-        Body.joined(p).moved(np.linalg.inv(T)) if p else None for p, T in zip(parts[1:], dh.frames, strict=True)
-    )
+    of_link = zip(parts[1:], links, strict=True)
+    return tuple(Body.joined(p).moved(np.linalg.inv(T)) if p else None for p, T in of_link)
 
 
 def _inertia(link: Any) -> Array | None:

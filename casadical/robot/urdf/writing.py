@@ -51,14 +51,14 @@ def calibrated_urdf_text(
     chain = read_chain(path_in, base_link, tip_link)
     _refuse_other_robot(chain, robot_before, robot_calibrated, str(path_in))
     document = parse_xml(path_in)
-    T_link0 = chain.dh.base if base == "robot" else robot_calibrated.base.T
+    T_link0 = chain.base if base == "robot" else robot_calibrated.base.T
     for name, T in _joint_origins(chain, robot_calibrated, T_link0).items():
         _write_frame(_part(document, name, "origin"), T)
     for i, moving in enumerate(chain.moving, 1):
         for name, value in _dynamics(robot_calibrated, i).items():
             _part(document, moving.name, "dynamics").setAttribute(name, value)
     if measured_link:
-        tip = np.linalg.inv(chain.dh.tool)
+        tip = np.linalg.inv(chain.tool)
         _add_link(document, chain.tip_link, measured_link, tip @ robot_calibrated.tool.T)
         for target in robot_calibrated.targets:
             name = f"{measured_link}_{re.sub(r'[^A-Za-z0-9_]', '_', target.name)}"
@@ -81,7 +81,7 @@ def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: s
     for robot in (before, after):
         if robot.n != len(chain.moving):
             raise InputError(f"{source}: {len(chain.moving)} joints in the chain, {robot.n} in robot {robot.name!r}")
-    for i, (row, joint) in enumerate(zip(chain.dh.rows, before.joints, strict=True), 1):
+    for i, (row, joint) in enumerate(zip(chain.rows, before.joints, strict=True), 1):
         # The tolerance is in m or rad.
         if not np.allclose(row_matrix(row), row_matrix(joint), rtol=0, atol=1e-9):
             raise InputError(
@@ -101,7 +101,7 @@ def _joint_origins(chain: UrdfChain, robot: Robot, T_link0: Array) -> dict[str, 
     """
     origins = {}
     behind, link = T_link0, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
-    for row, joint, T in zip(robot.joints, chain.moving, chain.dh.frames, strict=True):
+    for row, joint, T in zip(robot.joints, chain.moving, chain.link_frames, strict=True):
         C = np.linalg.inv(T) @ chain.frames[joint.child]
         fixed = np.linalg.inv(chain.frames[link]) @ chain.frames[joint.parent]
         origins[joint.name] = np.linalg.inv(fixed) @ behind @ row_matrix(row) @ C
@@ -114,7 +114,7 @@ def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source:
 
     tool : in the last link's modified DH frame, shape (4, 4) [m].
     """
-    if np.allclose(tool, chain.dh.tool, rtol=0, atol=UNCHANGED_TOLERANCE):
+    if np.allclose(tool, chain.tool, rtol=0, atol=UNCHANGED_TOLERANCE):
         return
     if chain.fixed_tip is None:
         raise InputError(
@@ -122,7 +122,7 @@ def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source:
             f"{chain.moving[-1].name!r} itself; name a new link for the measured point as "
             "measured_link"
         )
-    before = np.linalg.inv(chain.dh.frames[-1]) @ chain.frames[chain.fixed_tip.parent]
+    before = np.linalg.inv(chain.link_frames[-1]) @ chain.frames[chain.fixed_tip.parent]
     _write_frame(_part(document, chain.fixed_tip.name, "origin"), np.linalg.inv(before) @ tool)
 
 
