@@ -452,10 +452,14 @@ class LeastSquares:
 
         k : index of the set; r, J : residuals, shape (n, m), and Jacobian, shape (n m, size)
         """
-        if (loss := self.loss_of(k)) == "linear":
+        if self.loss_of(k) == "linear":
             return J, r.ravel()
-        root = np.sqrt(np.repeat(loss_and_slope(loss, r)[1], r.shape[1]))
+        root = np.sqrt(self.loss_weights(k, r))
         return J * root[:, None], root * r.ravel()
+
+    def loss_weights(self, k: int, r: Array) -> Array:
+        """Return the loss weight of each residual of a part, shape (n m,); r : shape (n, m)."""
+        return np.repeat(loss_and_slope(self.loss_of(k), r)[1], r.shape[1])
 
     def _cost(self, v: Array) -> float:
         """Compute the cost at v, with the priors, from the residuals alone, without derivatives."""

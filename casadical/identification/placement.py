@@ -216,7 +216,10 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
     if robot.base.unknown != "pose":
         return robot
     if m.position is None:
-        return _by_distances(robot, sets)
+        informed = [some[some.weight > 0] for some in sets if some.distance is not None and some.target is not None]
+        if robot.targets or sum(map(len, informed or sets)) < MIN_START_READINGS:
+            return robot
+        return _by_distances(robot, informed) if informed else _by_unknown_places(robot, sets)
     if 3 * len(m) < MIN_START_READINGS:
         return robot
     if robot.targets:
@@ -262,20 +265,11 @@ def _placed(
 
 
 def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Return the robot with base and tool frames that fit distances to given points.
-
-    Without such distances the tool is fitted to unknown places (`_by_unknown_places`). Robots with
-    several tools, and with fewer than MIN_START_READINGS distances, are returned unchanged.
-    """
-    informed = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
-    if robot.targets or sum(map(len, informed or sets)) < MIN_START_READINGS:
-        return robot
-    if not informed:
-        return _by_unknown_places(robot, sets)
-    step = max(1, sum(len(m) for m in informed) // MAX_START_POSES)
+    """Return the robot with base and tool frames that fit distances to given points."""
+    step = max(1, sum(map(len, sets)) // MAX_START_POSES)
     T, tool = robot.base.T, robot.tool.T[:3, 3]
     readings = []
-    for m in informed:
+    for m in sets:
         some = m[::step]
         assert some.distance is not None
         readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))

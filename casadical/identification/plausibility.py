@@ -1,7 +1,6 @@
 """Plausibility checks: refuse measurements that contradict the nominal robot before a solve."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -64,7 +63,7 @@ def refuse_undefined(robot: Robot, m: Measurements) -> None:
     for k in range(0, len(m) if robot.effects else 0, MAX_CACHED_DATA_POSES):
         some = m[k : k + MAX_CACHED_DATA_POSES]
         for q in (some.q,) if some.other is None else (some.q, some.other):
-            bad = np.asarray(~np.isfinite(predicted(robot, replace(some, q=q))[0]).all(axis=1))
+            bad = np.asarray(~np.isfinite(positions_at(robot, some)(q)).all(axis=1))
             if bad.any():
                 raise undefined(robot, some, bad)
 
@@ -282,7 +281,7 @@ def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array | slice = 
     which : indices of the poses that are judged together, all by default
     """
     arrays = {name: values[which] for name, values in m.arrays.items()}
-    return find_kind(m.kind).unit_fault(arrays, p[which], lambda q: positions_at(robot, m[which])(q), robot.reach)
+    return find_kind(m.kind).unit_fault(arrays, p[which], positions_at(robot, m[which]), robot.reach)
 
 
 def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

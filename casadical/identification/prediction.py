@@ -29,7 +29,6 @@ from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
-from casadical.identification.residuals import loss_and_slope
 from casadical.identification.solver import bounded_step
 from casadical.robot.robot import Covariance, Robot
 
@@ -46,7 +45,8 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
     free = np.flatnonzero(~problem.at_bounds(v))
     inverse = scaled_inverse(problem.gradient(v)[1][np.ix_(free, free)])
     if problem.loss != "linear":
-        squared = problem.prior_matrix + sum((J * w[:, None] ** 2).T @ J for w, J in _weighted(problem, v))
+        weighted = ((J, problem.loss_weights(k, r)) for k, r, J in problem.parts(v))
+        squared = problem.prior_matrix + sum((J * w[:, None] ** 2).T @ J for J, w in weighted)
         inverse = inverse @ squared[np.ix_(free, free)] @ inverse
     whole = np.full((problem.size, problem.size), np.nan)
     whole[np.ix_(free, free)] = variance * inverse
@@ -81,16 +81,11 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
     def computed(v: Array) -> Array:
         """Return the redundancy numbers at v, shape (residuals,), computed part by part."""
         inverse = scaled_inverse(problem.gradient(v)[1])
-        return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in _weighted(problem, v)])
+        weighted = ((J, problem.loss_weights(k, r)) for k, r, J in problem.parts(v))
+        return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for J, w in weighted])
 
     shares: Array = problem.cache.redundancies(v, computed)
     return shares
-
-
-def _weighted(problem: LeastSquares, v: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield the loss weights, shape (rows,), and the Jacobian, (rows, size), of some residuals."""
-    for k, r, J in problem.parts(v):
-        yield np.repeat(loss_and_slope(problem.loss_of(k), r)[1], r.shape[1]), J
 
 
 def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> Array:
