@@ -31,10 +31,10 @@ from casadical.identification.reduction import (
     solve_without_outliers,
 )
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss, Loss
-from casadical.identification.result import Identification, Tried, learnt_from, without_poses
+from casadical.identification.result import Identification, Tried, learnt_from
 from casadical.identification.sessions import place_sessions, with_sessions
 from casadical.identification.solver import Progress
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, without_poses
 from casadical.robot.robot import Knowledge, Robot
 
 # Name of a method of the paper: identification of kinematic parameters without (KM) or with (SKCM)

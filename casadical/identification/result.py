@@ -35,7 +35,7 @@ from casadical.identification.reduction import (
 from casadical.identification.residuals import Loss, make_block
 from casadical.identification.solver import Solution
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements, unmeasured
+from casadical.measurements.measurements import Measurements, unmeasured, without_poses
 from casadical.robot.robot import Knowledge, Robot, blocks, modified_dh
 from casadical.robot.robot_file import to_toml
 
@@ -551,12 +551,3 @@ def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
     ranges = {c: (float(min(map(min, v))), float(max(map(max, v)))) for c, v in logged.items() if v}
     readings = np.column_stack([q.min(axis=0), q.max(axis=0)])
     return Knowledge((*own, *remaining.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
-
-
-def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
-    """Return the sets without some poses, in the same order.
-
-    out : (set, pose) indices of the poses to be removed, from 0
-    """
-    excluded = set(out)
-    return tuple(m[[i for i in range(len(m)) if (k, i) not in excluded]] for k, m in enumerate(sets))

@@ -352,6 +352,15 @@ def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 
 
+def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
+    """Return the sets without some poses, in the same order.
+
+    out : (set, pose) indices of the poses to be removed, from 0
+    """
+    excluded = set(out)
+    return tuple(m[[i for i in range(len(m)) if (k, i) not in excluded]] for k, m in enumerate(sets))
+
+
 def _refuse_malformed(m: Measurements) -> None:
     """Check shapes and values of all arrays. Raises InputError that names source and entry."""
     if m.q.ndim != 2:

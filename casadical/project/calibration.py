@@ -35,11 +35,11 @@ from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
 from casadical.identification.remaining_errors import learn_remaining
 from casadical.identification.residuals import ALL_LOSSES
-from casadical.identification.result import Identification, without_poses
+from casadical.identification.result import Identification
 from casadical.identification.solver import Progress
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, without_poses
 from casadical.project import outcome
-from casadical.project.calibration_page import calibration_figures, calibration_page, residual_localisation, used_poses
+from casadical.project.calibration_page import calibration_figures, calibration_page, residual_localisation
 from casadical.project.hand_eye import HandEye, hand_eye_of
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
@@ -255,7 +255,7 @@ class Calibration(Result):
         `sets` has for each set the errors after and before, and, of sets that were not fitted, the
         outliers, which are in none of the errors.
         """
-        by_set = outcome.outliers_by_set(self.problem, self.identification)
+        by_set = self.problem.outliers_by_set(self.identification)
         out = {name: rows for name, (_, rows) in by_set.items()}
         groups = {name: [row for n in names for row in out[n]] for name, names in error_groups(out).items()}
         sets = {
@@ -394,7 +394,7 @@ def calibrate(
     check_against(problem.robot, *(m for _, m in parts))
     problem, corrected = _without_camera_errors(problem)
     results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
-    used = used_poses(problem, results)
+    used = problem.used_poses(results)
     sets = error_groups(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
     refitted = _refitted(problem, results, show)

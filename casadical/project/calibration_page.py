@@ -30,7 +30,7 @@ from casadical.identification.pose_errors import (
     image_plane,
     workspace,
 )
-from casadical.identification.result import Identification, LeftOut, without_poses
+from casadical.identification.result import Identification, LeftOut
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project import outcome
@@ -58,17 +58,6 @@ NETWORK_STYLES: tuple[Style, ...] = (
 Identifications = Mapping[str, Identification]
 
 
-def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
-    """Return set, named as in `Problem.parts`, -> its measurements without outliers.
-
-    In fitted sets they are the outliers of all methods, in the others those of the last method.
-    """
-    inliers = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
-    fitted = {name: next(inliers) for name, _ in problem.parts() if name.split("/")[0] == "identify"}
-    held_out = outcome.outliers_by_set(problem, list(results.values())[-1])
-    return {name: fitted[name] if name in fitted else held_out[name][0] for name, _ in problem.parts()}
-
-
 def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
     """Return set -> its errors before (base and tool fitted), by each method and each network.
 
@@ -79,7 +68,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
     """
     order, robot = list(SET_TITLES), list(results.values())[-1].robot
     by_name = {}
-    whole, used = dict(problem.parts()), used_poses(problem, results)
+    whole, used = dict(problem.parts()), problem.used_poses(results)
     for name in sorted(used, key=lambda name: order.index(name.split("/")[0])):
         m, every = used[name], whole[name]
         out = np.flatnonzero(~np.isin(every.row, m.row))

@@ -16,7 +16,6 @@ from casadical.identification.result import PRIOR_ONLY_REASON, Identification, L
 from casadical.identification.sessions import undetermined
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
 from casadical.measurements.vocabulary import UNITS
 from casadical.project.check.plausible import coverage
 from casadical.project.networks import Networks
@@ -219,21 +218,9 @@ def outlier_table(problem: Problem, identifications: Mapping[str, Identification
     return [Table(title, ("file", "row", "in column", *methods), cells, frozenset({1, *range(3, 3 + len(methods))}))]
 
 
-def outliers_by_set(problem: Problem, last: Identification) -> dict[str, tuple[Measurements, list[LeftOut]]]:
-    """Return set -> (its inlier poses, its outliers), for all sets that were not fitted.
-
-    With the loss `linear` every row is an inlier.
-
-    last : identification by the last method, which judges them
-    """
-    parts = {name: m for name, m in problem.parts() if name.split("/")[0] != "identify"}
-    counted = problem.loss == "linear"
-    return {name: (m, []) if counted else last.without_outliers(m) for name, m in parts.items()}
-
-
 def held_out_outliers(problem: Problem, last: Identification) -> list[LeftOut]:
     """Return all outliers among poses that were not fitted, the one with the largest error first."""
-    outliers = (out for _, some in outliers_by_set(problem, last).values() for out in some)
+    outliers = (out for _, some in problem.outliers_by_set(last).values() for out in some)
     return sorted(outliers, key=lambda out: -out.error)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,7 @@ from casadical.measurements.arrangement import long
 from casadical.measurements.columns import Columns, columns_used
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import SETS, Measurements
+from casadical.measurements.measurements import SETS, Measurements, without_poses
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, readings_alone, refuse_open, refuse_shared_rows
 from casadical.project.faults import each_of, every_fault
@@ -44,6 +44,9 @@ from casadical.project.robot_columns import as_poses, refuse_nameless, with_coup
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
+
+if TYPE_CHECKING:
+    from casadical.identification.result import Identification, LeftOut
 
 # Function that takes the results of another campaign over into a robot, and returns that robot and
 # the prior of the values (None without one).
@@ -176,6 +179,29 @@ class Problem(Shown):
         if self.table is None or not found or not found.turning:
             return ""
         return f"{found.in_words(self.table.source)}; casadical check {self.folder} --repair writes them"
+
+    def used_poses(self, results: Mapping[str, "Identification"]) -> dict[str, Measurements]:
+        """Return set, named as in `parts`, -> its measurements without outliers.
+
+        In fitted sets they are the outliers of all methods, in the others those of the last method.
+
+        results : identifications by method
+        """
+        inliers = iter(without_poses(self.sets["identify"], {p for r in results.values() for p in r.outliers}))
+        fitted = {name: next(inliers) for name, _ in self.parts() if name.split("/")[0] == "identify"}
+        held_out = self.outliers_by_set(list(results.values())[-1])
+        return {name: fitted[name] if name in fitted else held_out[name][0] for name, _ in self.parts()}
+
+    def outliers_by_set(self, last: "Identification") -> dict[str, tuple[Measurements, list["LeftOut"]]]:
+        """Return set -> (its inlier poses, its outliers), for all sets that were not fitted.
+
+        With the loss `linear` every row is an inlier.
+
+        last : identification by the last method, which judges them
+        """
+        parts = {name: m for name, m in self.parts() if name.split("/")[0] != "identify"}
+        counted = self.loss == "linear"
+        return {name: (m, []) if counted else last.without_outliers(m) for name, m in parts.items()}
 
     def without_errors(self, errors: CameraErrorsTable) -> "Problem":
         """Return the problem, its only table without these camera errors, which it then names."""
