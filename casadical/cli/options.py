@@ -54,7 +54,7 @@ methods = _completion_of("project.problem_file", "all_methods")  # --method
 losses = _completion_of("identification.residuals", "ALL_LOSSES")  # --loss
 languages = _completion_of("export.c.write", "CONTROLLER_LANGUAGES", listed=True)  # export c --language
 forms = _completion_of("export.model_file", "MODEL_FORMS")  # export model --to
-effects = _completion_of("project.diagnosis", "all_effects", listed=True)  # --effects
+effects = _completion_of("diagnosis.candidates", "all_effects", listed=True)  # --effects
 
 Nominal = Annotated[
     Path | None,

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli import terminal as t
-from casadical.core.basics import InputError
 from casadical.core.reporting.blocks import Words
-
-if TYPE_CHECKING:
-    from casadical.project.planning import Places
-
 
 # Name, in messages, of the mode that plans poses for a calibration.
 CALIBRATION_MODE = "poses to calibrate with (--measured: those that there are)"
@@ -140,7 +135,7 @@ def plan(
 
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
-    from casadical.project.planning import circumstances_of, plan_problem, planned_with
+    from casadical.project.planning import circumstances_of, places_of, plan_problem, planned_with
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
     given[f"--camera of a {'folder' if problem.is_dir() else 'robot file'}"] = camera
@@ -206,7 +201,7 @@ def plan(
     asked["room"] = room
     asked["effects"] = effects.split(",") if effects else ()
     asked["circumstances"] = circumstances_of(payloads, every_payload, both_approaches, repeats)
-    asked["places"] = _places(wires, sockets, places, known_places)
+    asked["places"] = places_of(wires, sockets, places, known_places)
     out = out if n is None else out or Path("plan.csv")
     console = t.wrapped(quiet)
     with t.working(quiet, "choosing poses", steps=t.PLAN) as show:
@@ -222,20 +217,3 @@ def plan(
         enough = planned.forecast.stop()
         what = "as many as you can measure" if enough is None else "so many"
         t.suggest(console, f"to choose {what}", *sys.argv[1:], "-n", enough or 100)
-
-
-def _places(wires: int | None, sockets: int | None, candidates: Path | None, surveyed: bool) -> Places | None:
-    """Return the wires or sockets to plan for in place of positions; None without these options.
-
-    surveyed : whether the places will be measured.
-    """
-    from casadical.project.planning import Places, read_places
-
-    if wires and sockets:
-        raise InputError("--wires and --sockets: give one of them; each is a plan of its own")
-    if not (wires or sockets):
-        if candidates is not None or surveyed:
-            raise InputError("--places and --known-places are of --wires N or --sockets N; give one of these, too")
-        return None
-    where = read_places(candidates) if candidates else None
-    return Places("wires", wires, where, surveyed) if wires else Places("sockets", sockets or 1, where, surveyed)

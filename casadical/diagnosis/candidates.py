@@ -4,14 +4,24 @@ import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import groupby
+from typing import Literal
 
 from casadical.core.basics import InputError
 from casadical.effects import Effect
+from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_SEAMS
 from casadical.effects.plugins import effects_by_name
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements, same_readings
+from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
+
+# Name or label of an effect to consider, an effect, or a class of effects.
+EffectName = str | Effect | type[Effect]
+# Choice of candidate causes: the name of a list, or effects.
+EffectChoice = Literal["standard", "extended"] | Sequence[EffectName]
+# Classes of user-defined effects that are causes in joint logs.
+OwnCauses = tuple[type[DefinedEffect], ...]
 
 
 @dataclass(frozen=True)
@@ -46,7 +56,12 @@ class Candidate:
         return first.covers | ({first.name} if self.together else frozenset())
 
 
-def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effect]]) -> list[Candidate]:
+def all_effects() -> tuple[str, ...]:
+    """Return the names of all effects that are on a list of candidate causes, sorted."""
+    return tuple(sorted(kind.name for kind in effects_by_name().values() if kind.on_list != "unknown"))
+
+
+def candidates_of(robot: Robot, effects: EffectChoice) -> list[Candidate]:
     """Return the candidates of a choice of effects, without those that the robot has already.
 
     effects : "standard", "extended", or names, labels, own effects and their classes
@@ -71,6 +86,25 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
         words = ", ".join(e if isinstance(e, str) else e.label if isinstance(e, Effect) else e.name for e in chosen)
         raise InputError(f"{words}: robot {robot.name!r} has it already, held at its value; name other effects")
     return [replace(c, variants=new[c.label]) for c in standard if new[c.label]]
+
+
+def own_causes(files: Sequence[str]) -> OwnCauses:
+    """Return the causes of joint logs that effect files define.
+
+    files : paths of effect files (`.toml`)
+    Raises InputError for a word that is no file, and for effects of measured poses.
+    """
+    kinds: list[type[DefinedEffect]] = []
+    for word in files:
+        if not word.strip().endswith(".toml"):
+            raise InputError(f"--effects {word}: of joint logs every cause of the list is judged; own ones are files")
+        file = read_effects(word.strip())
+        own = [k for k in file.kinds if issubclass(k, DefinedEffect) and {*k.definition.formulas} <= {*MOTION_SEAMS}]
+        other = [k.name for k in file.kinds if k not in own] + [e.name for e in file.effects]
+        if other:
+            raise InputError(f"{word}: {other[0]} is of poses; causes of joint logs act at {', '.join(MOTION_SEAMS)}")
+        kinds += own
+    return tuple(kinds)
 
 
 def choose(

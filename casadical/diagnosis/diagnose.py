@@ -10,7 +10,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import robust_std
-from casadical.diagnosis.candidates import Candidate, candidates_of
+from casadical.diagnosis.candidates import Candidate, EffectChoice, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
@@ -53,7 +53,7 @@ Masses = Literal["candidate", "nuisance"]
 def diagnose(
     robot: Robot | Prepared | Identification,
     m: Measurements | Sequence[Measurements] | None = None,
-    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard",
+    effects: EffectChoice = "standard",
     *,
     seed: int = 0,
     bootstrap: int = 0,
@@ -105,7 +105,7 @@ class _Question:
     """
 
     prepared: Prepared
-    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"]
+    effects: EffectChoice
     seed: int
     bootstrap: int
     laws: bool

@@ -9,7 +9,7 @@ visible signal r per coordinate, in units of the noise, at n poses has noncentra
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,7 @@ from casadical.core.reporting.result import Result
 from casadical.core.statistics import ranked
 from casadical.diagnosis.candidates import (
     Candidate,
+    EffectChoice,
     candidates_of,
     choose,
     columns_to_log,
@@ -118,7 +119,7 @@ class Isolability(Result):
 def isolability(
     robot: Robot | Diagnosis,
     m: Measurements | None = None,
-    effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard",
+    effects: EffectChoice = "standard",
     *,
     noise: Noise | None = None,
     whole: bool = False,

@@ -25,10 +25,10 @@ from casadical.core.statistics import best_of, first_of_best
 from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
 from casadical.fleet.touch_model import CHANGE_FREQUENCY, CRASH, GROWTH_PER_K, MM_PER_M, UNKNOWN, Draws, TouchModel
+from casadical.identification.pose_selection.planning import poses_of_changes
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.acceptance.verification import without_instrument
-from casadical.project.planning import poses_of_changes
 from casadical.project.problem import read_campaign
 from casadical.project.problem_file import result_in
 from casadical.robot.robot import RemainingErrors, Robot

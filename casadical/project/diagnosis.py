@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.drive import read_drive
 from casadical.core.reporting.blocks import Block, Page, Section, Table, Words, next_step
 from casadical.core.reporting.figure import Figure
 from casadical.core.reporting.result import Result
+from casadical.diagnosis.candidates import EffectChoice, EffectName, OwnCauses, own_causes
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.isolability import Isolability, isolability
@@ -20,10 +21,6 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import gain_of
 from casadical.diagnosis.text import as_json, brief, detailed, diagnosis_files
-from casadical.effects import Effect
-from casadical.effects.definition import DefinedEffect
-from casadical.effects.formula_effect import MOTION_SEAMS
-from casadical.effects.plugins import effects_by_name
 from casadical.identification.pose_selection.workspace import Workspace, read_workspace
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.findings import found_in
@@ -39,15 +36,6 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.diagnosis.motion.replay import Replay
     from casadical.diagnosis.motion.result import LogDiagnosis
-    from casadical.effects.motion import Cause
-
-# Choice of candidate causes: the name of a list, or names, labels, effects and classes of effects.
-EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Effect]]
-
-
-def all_effects() -> tuple[str, ...]:
-    """Return the names of all effects that are on a list of candidate causes, sorted."""
-    return tuple(sorted(kind.name for kind in effects_by_name().values() if kind.on_list != "unknown"))
 
 
 def effects_named(text: str | None) -> EffectChoice:
@@ -57,7 +45,7 @@ def effects_named(text: str | None) -> EffectChoice:
         its effects, or else for those that it defines
     Raises InputError for a file that cannot be read.
     """
-    named: list[str | Effect | type[Effect]] = []
+    named: list[EffectName] = []
     for word in text.split(",") if text else ():
         if not word.strip().endswith(".toml"):
             named.append(word)
@@ -293,7 +281,7 @@ class LogCampaign:
     logs: tuple[Path, ...]
     healthy: JointLog | None = None
     withheld: tuple[Path, ...] = ()
-    own: tuple[Cause, ...] = ()
+    own: OwnCauses = ()
     read: dict[Path, JointLog] = field(default_factory=dict)  # cache of `log`
 
     def log(self, path: Path) -> JointLog:
@@ -367,25 +355,6 @@ def read_logs(
         robot = replace(robot, drive=read_drive(path, robot.n))
     healthy = read_log(reference, robot) if reference else None
     return LogCampaign(robot, tuple(tables or ()), healthy, tuple(withheld), own_causes(effects))
-
-
-def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
-    """Return the causes of joint logs that effect files define.
-
-    files : paths of effect files (`.toml`)
-    Raises InputError for a word that is no file, and for effects of measured poses.
-    """
-    kinds: list[Cause] = []
-    for word in files:
-        if not word.strip().endswith(".toml"):
-            raise InputError(f"--effects {word}: of joint logs every cause of the list is judged; own ones are files")
-        file = read_effects(word.strip())
-        own = [k for k in file.kinds if issubclass(k, DefinedEffect) and {*k.definition.formulas} <= {*MOTION_SEAMS}]
-        other = [k.name for k in file.kinds if k not in own] + [e.name for e in file.effects]
-        if other:
-            raise InputError(f"{word}: {other[0]} is of poses; causes of joint logs act at {', '.join(MOTION_SEAMS)}")
-        kinds += own
-    return tuple(kinds)
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> Isolability:

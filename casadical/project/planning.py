@@ -1,19 +1,16 @@
 """Measurement plans: calibration with the poses so far, the next poses and the forecast."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array, InputError, Show, silent
+from casadical.core.basics import Array, InputError
 from casadical.core.reporting.blocks import Words, next_step
-from casadical.effects import Effect, Session
-from casadical.identification.identification import identify
 from casadical.identification.pose_selection.camera_stations import (
     CameraStations,
     camera_stations,
@@ -21,20 +18,11 @@ from casadical.identification.pose_selection.camera_stations import (
     simulated_stations,
 )
 from casadical.identification.pose_selection.candidates import Circumstances, one_turn
-from casadical.identification.pose_selection.instruments import usual_places
-from casadical.identification.pose_selection.pose_search import (
-    MeasurementPlan,
-    forecast,
-    place_instrument,
-    select_poses,
-    select_with_places,
-)
-from casadical.identification.pose_selection.selection import Selection
+from casadical.identification.pose_selection.planning import MeasurementPlan, Places, plan
+from casadical.identification.pose_selection.pose_search import forecast, select_poses
 from casadical.identification.pose_selection.workspace import Workspace, read_workspace
-from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
 from casadical.measurements.columns import POSSIBLE_RANGES, Columns
-from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.raw_table import read_table
@@ -84,41 +72,21 @@ def circumstances_of(payloads: str | None, every_payload: bool, both_approaches:
     return Circumstances(numbers, every_payload, both_approaches, repeats)
 
 
-@dataclass(frozen=True, eq=False)
-class Places:
-    """Draw wires or sockets to plan for: their number, and where they may be.
+def places_of(wires: int | None, sockets: int | None, candidates: Path | None, surveyed: bool) -> Places | None:
+    """Return the wires or sockets to plan for in place of positions; None without these options.
 
-    kind : wires (distances to anchors) or sockets (touched points)
-    count : number of places to choose
-    candidates : candidate places in the measuring frame, shape (K, 3) [m]; None: the usual ones
-        (see `usual_places`)
-    surveyed : whether the places will be measured, too
+    candidates : table of places in the measuring frame, in columns x_mm, y_mm, z_mm (or _m)
+    surveyed : whether the places will be measured
+    Raises InputError for options that do not go together.
     """
-
-    kind: Literal["wires", "sockets"]
-    count: int
-    candidates: Array | None = None
-    surveyed: bool = False
-
-    def candidates_for(self, robot: Robot) -> Array:
-        """Return the candidate places in the measuring frame, shape (K, 3) [m]."""
-        return usual_places(robot, self.kind) if self.candidates is None else self.candidates
-
-    def select(self, robot: Robot, **how: Any) -> Selection:
-        """Return the best selection of poses and places.
-
-        how : further arguments of `select_with_places`
-        """
-        places = self.candidates_for(robot)
-        return select_with_places(robot, kind=self.kind, places=places, count=self.count, surveyed=self.surveyed, **how)
-
-
-def read_places(path: Path) -> Array:
-    """Return the places in a table's columns x_mm, y_mm, z_mm (or _m), shape (K, 3) [m].
-
-    They are in the measuring frame. Raises InputError.
-    """
-    return Columns.of_file(read_table(path)).vector("")
+    if wires and sockets:
+        raise InputError("--wires and --sockets: give one of them; each is a plan of its own")
+    if not (wires or sockets):
+        if candidates is not None or surveyed:
+            raise InputError("--places and --known-places are of --wires N or --sockets N; give one of these, too")
+        return None
+    where = Columns.of_file(read_table(candidates)).vector("") if candidates else None
+    return Places("wires", wires, where, surveyed) if wires else Places("sockets", sockets or 1, where, surveyed)
 
 
 def declared_kinds_and_noise(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
@@ -237,88 +205,6 @@ def plan_problem(
     )
 
 
-def plan(
-    robot: Robot,
-    n: int | None,
-    effects: Sequence[Effect] = (),
-    *,
-    workspace: Workspace | None = None,
-    circumstances: Circumstances | None = None,
-    measured: Measurements | None = None,
-    noise: Noise | None = None,
-    min_distance: float = 0.0,
-    order: bool = True,
-    target: float | None = None,
-    seed: int = 0,
-    places: Places | None = None,
-    prior: Prior | None = None,
-    show: Show = silent,
-) -> MeasurementPlan:
-    """Return the next poses to measure, in order, and the forecast of the accuracy beyond them.
-
-    robot : robot whose parameters are to be identified
-    n : number of poses; None: the stopping rule alone, the accuracy to expect of up to 100 poses
-        more
-    effects : effects to identify, in addition to the accuracy over the task
-    measured : poses measured already
-    order : whether the poses are ordered for little travel
-    target : wanted accuracy [m]
-    places : wires or sockets, in place of positions
-    prior : prior of the robot, which has its values (see `carry_over`)
-    show : called with each line of progress
-
-    Other arguments are as of `select_poses`. Raises InputError.
-    """
-    if places is not None and measured is not None:
-        raise InputError(
-            f"poses measured before are counted with positions alone, not with {places.kind}: plan "
-            "with the robot file that calibrate --out wrote"
-        )
-    own_labels = {e.label for e in robot.effects}
-    if effects:
-        robot = robot.with_effect(*(e for e in effects if e.label not in own_labels))
-    # The robot's other effects are fixed at their values.
-    free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects), *(prior.free if prior else ()))
-    if measured is not None:
-        show("calibrating with the poses measured so far")
-        measured, missing = derive(measured, robot.conditions, robot.loads)
-        if lost := [name for name in missing if name != "payload_kg"]:
-            raise InputError(f"{measured.source}: column {lost[0]!r} is missing, which the effects to plan for need")
-        result = identify(robot, measured, free, prior=prior)  # of the last session, if several
-        robot, noise = result.robot, noise or Noise(result.sigmas[0][0])
-        free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
-    # Poses are planned for the first target alone.
-    others = [] if measured is None else [t.column for t in robot.targets if t.column in measured.conditions]
-    if measured is not None and others:
-        first = ~measured.condition_matrix(others, np.zeros(len(others))).any(axis=1)
-        measured = measured[np.flatnonzero(first)] if first.any() else None
-    robot = replace(robot, targets=(), tool_name="")
-    circumstances = circumstances or Circumstances()
-    # If effects are to be identified, payloads that were mounted before can be mounted again.
-    mounted = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
-    if effects and len(mounted) > 1 and not circumstances.payloads:
-        circumstances = replace(circumstances, payloads=tuple(mounted))
-    common: dict[str, Any] = {"workspace": workspace, "free": free, "noise": noise, "seed": seed}
-    known: dict[str, Any] = {"circumstances": circumstances, "measured": measured, "prior": prior}
-    chosen = None
-    if n is not None:
-        show("choosing poses")
-        choose: Callable[..., Selection] = partial(select_poses, among=None) if places is None else places.select
-        interest = tuple(e.label for e in effects)
-        chosen = choose(robot, n=n, interest=interest, min_distance=min_distance, **common, **known)
-    instrument = chosen.instrument if chosen else None
-    if places is not None and instrument is None:
-        how, where = common | {"surveyed": places.surveyed}, places.candidates_for(robot)
-        instrument = place_instrument(robot, places.kind, where, places.count, **how)
-    show("accuracy of further poses")
-    total = (0 if measured is None else len(measured)) + (0 if chosen is None else len(chosen))
-    most = total + (100 if n is None else max(20, total // 2))
-    ahead = forecast(robot, most, instrument=instrument, **common, **known)
-    if chosen and order:
-        chosen = chosen.ordered()
-    return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())
-
-
 def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target: float | None) -> tuple[Array, str]:
     """Return ordered joint variables to measure, (n, joints) [rad or m], and a sentence on them.
 
@@ -329,7 +215,7 @@ def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target:
     target : wanted accuracy [m], None without one
     Raises InputError where no pose is allowed.
     """
-    own = replace(robot.with_only(e for e in robot.effects if not isinstance(e, Session)), targets=(), tool_name="")
+    own = replace(robot.without_sessions, targets=(), tool_name="")
     own = one_turn(own if workspace else replace(own, base=replace(own.base, T=np.eye(4))))
     # The second floor is for robots with axes in the plane that they stand on.
     above = [Workspace(floor=0.0, clearance=0.05), Workspace(floor=0.0, clearance=-1e-6)]
@@ -351,23 +237,6 @@ def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target:
             said += f"; they are not enough for {1e3 * target:.3g} mm"
         return chosen.q, said + ("; floor and obstacles were not checked: --room FILE.toml" if k == 3 else "")
     raise AssertionError
-
-
-def poses_of_changes(
-    robot: Robot, n: int, prior: Prior, noise: Noise, room: Path | None, measured: Measurements | None, seed: int
-) -> pd.DataFrame:
-    """Return the poses that determine best how a calibrated robot has changed, a row each.
-
-    n : number of poses to choose, in addition to the measured ones
-    prior : of the parameters that may change, about the robot's values
-    room : file of a workspace, None without one
-    measured : poses of the same day, whose information is taken into account
-    Raises InputError where the workspace allows too few poses.
-    """
-    workspace = read_workspace(room, robot) if room else None
-    known: dict[str, Any] = {"measured": measured, "free": prior.free, "prior": prior}
-    known |= {"workspace": workspace, "noise": noise, "seed": seed}
-    return select_poses(robot, None, n, min_distance=0.05, **known).table
 
 
 def stations_ahead(

@@ -26,7 +26,7 @@ from casadical.core.parts import GRAVITY_COLUMNS, Arm, Joint
 from casadical.core.reporting.blocks import Table, Words
 from casadical.core.reporting.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
-from casadical.effects import Effect, JointErrorCurve
+from casadical.effects import Effect, JointErrorCurve, Session
 from casadical.effects.joint_error_curve import TYPICAL_HARMONIC_RAD
 from casadical.robot.model import Model, Structure, constants_of
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
@@ -407,6 +407,11 @@ class Robot(Shown, Arm):
         knowledge = self.knowledge and self.knowledge.without(gone)
         remaining = None if gone else self.remaining
         return replace(self, effects=chosen, effect_values=values, knowledge=knowledge, remaining=remaining)
+
+    @property
+    def without_sessions(self) -> Robot:
+        """Return the robot without effects of sessions, which stand for a day of a campaign."""
+        return self.with_only(e for e in self.effects if not isinstance(e, Session))
 
     def with_unknown(self, **frames: Literal["none", "position", "pose"]) -> Robot:
         """Return a robot of whose frames, base or tool, another part is to be identified."""

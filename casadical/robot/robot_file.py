@@ -17,7 +17,7 @@ from casadical.core.reading import load_toml
 from casadical.core.schema import check
 from casadical.core.statistics import rounded_at
 from casadical.core.transforms import to_rpy
-from casadical.effects import Effect, Session
+from casadical.effects import Effect
 from casadical.effects.plugins import defined_in_files, find_effect
 from casadical.robot.effect_tables import FILE_VERSION, large_covariances, text_of
 from casadical.robot.robot import Robot, dh_row, in_file_units
@@ -193,8 +193,7 @@ def to_toml(
 
 def _as_written(robot: Robot) -> Robot:
     """Return the robot without sessions and without covariances of parameters that it lacks."""
-    if any(isinstance(e, Session) for e in robot.effects):
-        robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
+    robot = robot.without_sessions
     knowledge = robot.knowledge
     gone = set(knowledge.std_errors) - set(robot.parameters.names) if knowledge else set[str]()
     return replace(robot, knowledge=knowledge.without(gone)) if knowledge and gone else robot

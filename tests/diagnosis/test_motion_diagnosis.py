@@ -20,6 +20,7 @@ from casadical.cli.root import app
 from casadical.core.drive import Drive
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import plain_text
+from casadical.diagnosis.candidates import own_causes
 from casadical.diagnosis.motion.engine import (
     MIN_SPAN_RAD,
     Found,
@@ -38,7 +39,7 @@ from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import effects_by_name
 from casadical.measurements.logs.findings import with_signs
 from casadical.measurements.logs.log import JointLog
-from casadical.project.diagnosis import own_causes, read_logs
+from casadical.project.diagnosis import read_logs
 from casadical.robot.dynamics import Dynamics
 
 ROOT = Path(__file__).parents[2]
@@ -525,9 +526,8 @@ def test_a_cause_of_ones_own_is_judged_beside_the_list(tmp_path):
     assert "joint 2: a worn tooth holds the joint" in " ".join(plain_text(found.blocks(), 200).split())
     with pytest.raises(InputError, match="own ones are files"):
         own_causes(["lag"])
-    posed = TOOTH.replace(
-        'formulas.torque = "push * exp(-((q - 0.7) / 0.12) ** 2)"', 'formulas.joint = "push * sin(q2)"'
-    )
+    of_poses = 'formulas.joint = "push * sin(q2)"'
+    posed = TOOTH.replace('formulas.torque = "push * exp(-((q - 0.7) / 0.12) ** 2)"', of_poses)
     (tmp_path / "pose.effect.toml").write_text(posed)
     with pytest.raises(InputError, match="worn_tooth is of poses"):
         own_causes([str(tmp_path / "pose.effect.toml")])

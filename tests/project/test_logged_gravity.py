@@ -10,9 +10,9 @@ import pytest
 from casadical import InputError, identify, read_problem, read_robot
 from casadical.core.transforms import rot_x, rot_y
 from casadical.identification.accuracy import errors, predicted
+from casadical.identification.pose_selection.planning import plan
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.reading import from_table
-from casadical.project.planning import plan
 from casadical.robot.robot_file import to_toml
 
 ROBOT = """\

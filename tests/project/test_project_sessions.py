@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 
 from casadical import InputError, calibrate, read_problem, read_robot
+from casadical.identification.pose_selection.planning import plan
 from casadical.project.acceptance.verification import verify
 from casadical.project.check.check import precheck
-from casadical.project.planning import plan
 from casadical.project.problem import read_campaign
 
 ROBOT = """\

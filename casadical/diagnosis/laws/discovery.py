@@ -13,6 +13,7 @@ import numpy as np
 from casadical.core.basics import Array, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import stepwise
+from casadical.diagnosis.candidates import EffectChoice
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.diagnose import diagnose
@@ -90,7 +91,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
 def discover(
     robot: Robot | Identification,
     m: Measurements | None = None,
-    effects: str | Sequence[str | Effect | type[Effect]] = "standard",
+    effects: EffectChoice = "standard",
     *,
     seed: int = 0,
     show: Show = silent,

@@ -18,6 +18,7 @@ from casadical.core.reporting.blocks import Block, Table, Words, mm
 from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, ticks_of_decades
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
+from casadical.diagnosis.candidates import EffectChoice
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import load_mujoco, positions
@@ -26,7 +27,7 @@ from casadical.identification.accuracy import Accuracy, predicted, summarise
 from casadical.identification.identification import calibrate_base_model, calibrated, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
-from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
+from casadical.project.diagnosis import Campaign, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
 # Fraction of the poses from which models are identified, and of those at which they are replayed.

@@ -15,9 +15,9 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.pose_selection import Noise, Workspace, candidates, forecast, place_instrument
 from casadical.identification.pose_selection.candidates import expected, poses_at_places
 from casadical.identification.pose_selection.instruments import Instrument, best_places, usual_places
+from casadical.identification.pose_selection.planning import Places
 from casadical.identification.pose_selection.pose_search import select_poses, select_with_places
 from casadical.measurements.measurements import unmeasured
-from casadical.project.planning import Places
 
 SIGMA = 5e-5
 ANCHORS = np.array([[1.8, 0.3, 0.0], [-0.9, 1.6, 1.2], [-0.6, -1.7, 0.6]])

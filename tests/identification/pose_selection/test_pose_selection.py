@@ -30,7 +30,8 @@ from casadical.identification.pose_selection.candidates import (
     timeline,
 )
 from casadical.identification.pose_selection.design_problem import _allowed
-from casadical.identification.pose_selection.pose_search import Forecast, MeasurementPlan, select_poses
+from casadical.identification.pose_selection.planning import MeasurementPlan
+from casadical.identification.pose_selection.pose_search import Forecast, select_poses
 from casadical.identification.pose_selection.selection import TIME_PARTS, in_measuring_order, travel, travel_distances
 from casadical.identification.pose_selection.workspace import read_workspace
 from casadical.identification.prior import carry_over
@@ -124,9 +125,8 @@ def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
     alone = replace(found, measured=None)
     assert found.accuracy < alone.accuracy
     sigma = Noise().sigma
-    both = identify(
-        robot, replace(positions(robot, np.concatenate([found.q, before.q]), 1, sigma), sigma=sigma), priors=False
-    )
+    seen = positions(robot, np.concatenate([found.q, before.q]), 1, sigma)
+    both = identify(robot, replace(seen, sigma=sigma), priors=False)
     assert both.names == found.names
     np.testing.assert_allclose(both.standard_errors / np.sqrt(both.variance), found.standard_errors, rtol=0.02)
 
