@@ -56,24 +56,6 @@ def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
     return [int(k) for k in order[np.lexsort((order, step))]]
 
 
-def stepwise(
-    best_given: Callable[[Sequence[Item]], Item], enough: Callable[[Item], bool], most: int
-) -> tuple[list[Item], list[Item], Item]:
-    """Return items found one by one, the same ones found again given all others, and the last one.
-
-    best_given : function that returns the best item in addition to some
-    enough : returns whether an item is added; the last one was not, or is one too many
-    most : largest number of items
-    """
-    found: list[Item] = []
-    while enough(last := best_given(found)) and len(found) < most:
-        found.append(last)
-    again = list(found)
-    for k in range(len(found) if len(found) > 1 else 0):
-        again[k] = best_given([*again[:k], *again[k + 1 :]])
-    return found, again, last
-
-
 def thirds(values: Array) -> tuple[Array, Array]:
     """Return the third of each value, 0 to 2, shape (n,), and the four quantiles that bound them.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from casadical.core.statistics import TIE_TOLERANCE, first_of_best, ranked
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
+from casadical.diagnosis.posterior import PRIOR_FURTHER, Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
@@ -113,7 +113,6 @@ def most_probable_set(
             if not k <= listed and k <= variants.keys() and before.log_factor[label] > SETTINGS.min_set_log_gain
         )
         search.expand(search.best(mixed, 1))
-    none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
     # The best listed set is expanded a few times to see whether a larger one is better.
     for _ in range(4):
         listed_sets = [k for k in search.mass if k <= listed]
@@ -125,11 +124,11 @@ def most_probable_set(
         search.expand([best])
     closed = np.array(list(search.mass.values())) + np.log(PRIOR_FURTHER["none"])
     of_listed = np.array([search.mass[k] for k in search.mass if k <= listed]) + np.log(PRIOR_FURTHER["none"])
-    share = float(np.exp(np.logaddexp.reduce(of_listed) - np.logaddexp.reduce(np.append(closed, none))))
+    share = float(np.exp(np.logaddexp.reduce(of_listed) - np.logaddexp.reduce(np.append(closed, first.log_none))))
     # A single cause would have been ranked first.
     if len(best) < 2 or best not in search.expanded:
         return (), frozenset()
-    total = np.append(closed, none)
+    total = np.append(closed, first.log_none)
     there = {c: np.array([not k.isdisjoint({c} | twins[c]) for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
     # Where all listed sets together are less probable than 0.9, against those with an unlisted cause,

@@ -5,13 +5,16 @@ parts (a curve of each joint) is tested part by part; the prior of a changed par
 zero (see `_parts`), and the others are tested again given this.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.normal_equations import joined
+from casadical.core.linear_gaussian.search import stepwise
 from casadical.core.statistics import best_of, robust_std
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
@@ -19,6 +22,9 @@ from casadical.diagnosis.result import Change
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.prior import Prior, probability_of_change
 from casadical.measurements.measurements import Noise
+
+# Label of an effect, and the joint of its part, None for an effect without parts.
+Part = tuple[str, int | None]
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
@@ -29,33 +35,43 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     prior : prior from an earlier campaign
     """
     parts = _parts(case, prior)
+    if not parts:
+        return (), prior
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
     # The model is in the parameters themselves, not in combinations, because the prior is on them.
     base = case.base
     e = replace(case.evidence, J=base.J[case.inliers], delta0=base.delta0, prior=base.prior)
     fit = new_fit(e, np.zeros(0, dtype=np.int64), noise)
-    factor: dict[tuple[str, int | None], float] = {}
-    done: set[tuple[str, int | None]] = set()
-    while True:
-        as_before = _log_evidence(case, fit, noise.sigma, prior)
-        for key, wide in parts.items():
-            if key not in done:
-                factor[key] = _log_evidence(case, fit, noise.sigma, prior.widened(wide)) - as_before
-        untested = [key for key in parts if key not in done]
-        first = best_of(untested, factor.__getitem__, logs=True) if untested else None
-        if first is None or probability_of_change(factor[first]) < SETTINGS.min_change:
-            return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
-        done.add(first)
-        prior = prior.widened(parts[first])
+    factor: dict[Part, float] = {}
+
+    def widened(given: Sequence[Part]) -> Prior:
+        """Return the prior, wide for some changed parts."""
+        return reduce(Prior.widened, (parts[key] for key in given), prior)
+
+    def next_given(given: Sequence[Part]) -> Part:
+        """Return the part that changed most probably in addition to some, if any is left."""
+        as_before = _log_evidence(case, fit, noise.sigma, own := widened(given))
+        untested = [key for key in parts if key not in given]
+        for key in untested:
+            factor[key] = _log_evidence(case, fit, noise.sigma, own.widened(parts[key])) - as_before
+        return best_of(untested or given, factor.__getitem__, logs=True)
+
+    done, _ = stepwise(
+        next_given,
+        lambda key, given: key not in given and probability_of_change(factor[key]) >= SETTINGS.min_change,
+        len(parts),
+    )
+    changed = (Change(*key, probability_of_change(value)) for key, value in factor.items())
+    return tuple(changed), widened(done)
 
 
-def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:
+def _parts(case: Case, prior: Prior) -> dict[Part, dict[str, float]]:
     """Return the prior sigma [SI] of each part's parameters, by name, if the part has changed.
 
     It is the larger of the typical size and the earlier value's magnitude, about mean zero. Keys
     are (label of the effect, joint or None); effects that the prior does not name are omitted.
     """
-    sizes: dict[tuple[str, int | None], dict[str, float]] = {}
+    sizes: dict[Part, dict[str, float]] = {}
     for effect in case.given.effects:
         if effect.label not in prior.labels:
             continue

@@ -14,8 +14,8 @@ from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 
-def named(state: State, end: End, seed: int) -> tuple[State, End]:
-    """Return the state with only the causes that may be claimed, and why the search ended.
+def named(state: State, seed: int) -> State:
+    """Return the state with only the causes that may be claimed, and why its search ended.
 
     A cause is certain if its probability given that there is one reaches `Settings.min_claim`, that
     of none is small, and the gap on held-out poses shrinks with it. A cause with two or three
@@ -23,24 +23,24 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     One detected cause that is not certain remains, as the first one, if it has more evidence than
     each certain one and, together with the causes that cannot be distinguished from it, at
     least the probability `Settings.min_doubtful`. All others that are not certain are removed.
-    end : why the search ended before this; seed : of the partitions into held-out poses
+    seed : of the partitions into held-out poses
     """
     if not state.steps:
-        return state, end
+        return state
     steps = [_given_others(state, k) for k in range(len(state.steps))]
     # Unlisted causes with one label only are never claimed.
     kept = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
-    again = end if len(kept) == len(steps) else "ambiguous"
-    if again == end and len(steps) > 1:
+    again: End = state.end if len(kept) == len(steps) else "ambiguous"
+    if again == state.end and len(steps) > 1:
         # Nor is a cause that the others make improbable; they are judged again without it.
         least = best_of(steps, lambda s: s.ranking.none)
         kept = [s for s in steps if s is not least or s.ranking.none <= 0.5]
     if len(kept) < len(steps):
-        rest = replace(state, steps=tuple(kept)).ranked()
+        rest = replace(state, steps=tuple(kept), end=again).ranked()
         # An effect that is removed took probability from a listed one that looks like it.
         if len(kept) == 1:
             rest = replace(rest, steps=(_given_others(rest, 0, first=True),))
-        return named(rest, again, seed)
+        return named(rest, seed)
     there = [s for k, s in enumerate(steps) if s.labels[0] not in state.doubted and _shrinks(state, k, seed)]
     alone = len(state.steps) == 1
     further = SETTINGS.max_p_nothing_further
@@ -51,7 +51,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     if strongest and all(strongest.log_gain > s.log_gain + TIE_TOLERANCE for s in certain):
         certain = [strongest, *certain]
     if len(certain) == len(steps):
-        return replace(state, steps=tuple(certain)), end
+        return replace(state, steps=tuple(certain))
     remaining = replace(state, steps=tuple(certain)).ranked()
     again, names = next_cause(remaining, remaining.rankings[-1])
     if again == "claimed" and len(names) > 1:
@@ -64,7 +64,8 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
             remaining = more.ranked()
             again, _ = next_cause(remaining, remaining.rankings[-1])
     # A cause that was removed is not certain, even if it is the most probable one again.
-    return remaining, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
+    unclear = again == "claimed" or (not certain and again == "none")
+    return replace(remaining, end="ambiguous" if unclear else again)
 
 
 def _given_others(state: State, k: int, *, first: bool = False) -> Step:

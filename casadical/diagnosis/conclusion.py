@@ -21,8 +21,9 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount, account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
 from casadical.diagnosis.noise_forms import noisy_joint_label
+from casadical.diagnosis.posterior import PRIOR_FURTHER
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
-from casadical.diagnosis.search import End, State, Step
+from casadical.diagnosis.search import State, Step
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import joint_of_outliers
 from casadical.effects import Effect
@@ -30,14 +31,12 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Noise
 
 
-def conclude(
-    identification: Identification, state: State, end: End, seed: int, p_nothing: float | None = None
-) -> Diagnosis:
+def conclude(identification: Identification, state: State, seed: int) -> Diagnosis:
     """Return the diagnosis that follows from the final state of a search.
 
-    state, end, p_nothing : as returned by `search`; seed : seed of the held-out partitions
+    state : as returned by `search`; seed : seed of the held-out partitions
     """
-    state, end = named(state, end, seed)
+    state = named(state, seed)
     # A further event of a kind is no candidate that reports compare: it looks like the first one.
     alone = [c for c in state.case.candidates if getattr(c.variants[0][0], "event", 1) == 1]
     own = {s.labels[0] for s in state.steps}
@@ -47,25 +46,25 @@ def conclude(
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
     repeated = replicates(case.m, case.whole.r, case.inliers, case.observations.apart, case.whole.measured)
 
-    def noise_of(state: State, end: End) -> tuple[Noise, NoiseAccount, float]:
+    def noise_of(state: State) -> tuple[Noise, NoiseAccount, float]:
         """Return the noise that the best model leaves, its account and its held-out error [m].
 
         The best model includes an unlisted cause, unless the search ended without one.
         """
         last = state.rankings[-1]
-        noise = last.noise["" if end == "none" else last.order[0]]
+        noise = last.noise["" if state.end == "none" else last.order[0]]
         # A form that gains little compared with the causes may be a flaw of their equations; one that
         # would not be detected as a cause is none.
         least = max(SETTINGS.max_flaw * state.log_gain, -float(np.log(SETTINGS.max_p_nothing_further)))
-        form = last.noise_form if last.log_noise > least else ""
+        form = last.noise_form if last.log_none - np.log(PRIOR_FURTHER["none"]) > least else ""
         account = account_of(case, columns, noise, repeated, form, last.noise.get(form, noise))
         return noise, account, noise_floor(case.evidence, noise, account.anchor, seed)
 
-    noise, account, floor = noise_of(state, end)
-    richer = None if repeated.enough or end != "claimed" else _with_richer_form(state, floor, seed)
+    noise, account, floor = noise_of(state)
+    richer = None if repeated.enough or state.end != "claimed" else _with_richer_form(state, floor, seed)
     if richer:
-        state, end = richer, "unknown"
-        noise, account, floor = noise_of(state, end)
+        state = replace(richer, end="unknown")
+        noise, account, floor = noise_of(state)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     account = account.unless_small(float(before.mean() / after.mean())) if state.steps else account
     error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
@@ -83,7 +82,7 @@ def conclude(
     rest = max(0.0, (gap.after - gap.floor) / gap.before)
     more = state.rankings[-1]
     flaw = more.log_factor[more.order[0]] <= SETTINGS.max_flaw * state.log_gain
-    verdict = _verdict(state, end, gap, rest, flaw, bool(causes), shrinks)
+    verdict = _verdict(state, gap, rest, flaw, bool(causes), shrinks)
     exactly = with_additional_cause(cause_set(state), state, seed)
     if verdict == "explained":
         doubted = exactly and exactly.probability < SETTINGS.min_set and not flaw
@@ -116,7 +115,7 @@ def conclude(
         case=case,
         identification=identification,
         seed=seed,
-        p_nothing=p_nothing,
+        p_nothing=state.p_nothing,
         cause_set=exactly,
     )
 
@@ -240,21 +239,21 @@ def _outliers_as_cause(
     return whole, (Cause("outliers", None, outlier_probability(distance[out]), shrink, interval, ()),)
 
 
-def _verdict(state: State, end: End, gap: Gap, rest: float, flaw: bool, found: bool, shrinks: pd.DataFrame) -> Verdict:
+def _verdict(state: State, gap: Gap, rest: float, flaw: bool, found: bool, shrinks: pd.DataFrame) -> Verdict:
     """Return the verdict by the search's end, the fraction of the gap explained, and time blocks.
 
     rest : fraction of the gap that neither causes nor noise explain; found : if any cause is named
     flaw : whether what is probable beside the causes may be a flaw of their equations
     shrinks : held-out errors as causes are added (see `course`)
     """
-    if not state.steps and end in ("unknown", "ambiguous"):
-        return "unknown" if end == "unknown" else "ambiguous"
+    if not state.steps and state.end in ("unknown", "ambiguous"):
+        return "unknown" if state.end == "unknown" else "ambiguous"
     if not found:
         return "none"
     share = (gap.before - gap.after) / max(gap.before - gap.floor, 1e-9)
-    if share < SETTINGS.min_explained and (end == "unknown" or rest > SETTINGS.max_unexplained):
+    if share < SETTINGS.min_explained and (state.end == "unknown" or rest > SETTINGS.max_unexplained):
         return "unknown"
-    if end == "unknown" and state.log_gain > 0 and not flaw:
+    if state.end == "unknown" and state.log_gain > 0 and not flaw:
         return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous"

@@ -167,20 +167,21 @@ class _Question:
         so that the verdict remains unknown. Where a random lag is likely, see `lagging`.
         """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
-        state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
-        found = conclude(self.base, state, end, self.seed, p_nothing)
+        state = search_with_forms(case, self.seed, self.bootstrap, self.show)
+        found = conclude(self.base, state, self.seed)
         if share := likely_lag(found.case, found.rankings[-1], found.columns):
             return self.lagging(case, share)
         joint = noisy_joint(case, found.rankings[-1]) if found.verdict == "unknown" else None
         if joint is None:
             return found
         self.show(f"causes given poor repeatability of joint {joint}")
-        with_it, _, _ = search(case.with_scatter(joint, SETTINGS.noisy_joint_factor), self.seed, 0, self.show)
+        with_it = search(case.with_scatter(joint, SETTINGS.noisy_joint_factor), self.seed, 0, self.show)
         if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > SETTINGS.max_p_nothing_under_form:
             return found
         plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / SETTINGS.noisy_joint_factor))
         plain = replace(plain, rankings=plain.rankings[: len(plain.steps)]).ranked()
-        more = conclude(self.base, plain, next_cause(plain, plain.rankings[-1])[0], self.seed, p_nothing)
+        end, _ = next_cause(plain, plain.rankings[-1])
+        more = conclude(self.base, replace(plain, end=end, p_nothing=state.p_nothing), self.seed)
         return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found
 
     def lagging(self, case: Case, share: float) -> Diagnosis:
@@ -399,7 +400,8 @@ def _compared_with_laws(found: Diagnosis) -> Diagnosis:
     law, case = laws_before_causes(found, needed) or (None, found.case)
     if law and replaces_causes(found, law):
         state = State(case, rankings=found.rankings[:1]) if case is found.case else State(case).ranked()
-        found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
+        state = replace(state, end="unknown", p_nothing=found.p_nothing)
+        found = conclude(found.identification, state, found.seed)
     return replace(found, law=law if law and law.claimed else None)
 
 

@@ -19,6 +19,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import covariance_of
+from casadical.core.linear_gaussian.search import log_factors
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise, new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
@@ -233,8 +234,8 @@ def causes_in_question(case: Case, labels: Sequence[str], against: Sequence[str]
         if label not in by_label:
             raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(by_label)}")
         variants = by_label[label].variants
-        grids = case.evidence.log_grids([case.group(v) for v in variants]) + np.log(KAPPA_WEIGHTS)
-        likely = np.logaddexp.reduce(grids.reshape(len(variants), -1), axis=1)
+        own = case.evidence.log_grids([case.group(v) for v in variants])
+        likely, grids = log_factors(own, case.evidence.log_base(), KAPPA_WEIGHTS)
         # Settings less likely than the best ones by 4 nats are not compared.
         allowed = np.flatnonzero(likely > likely.max() - 4.0)
         # Two settings are compared in addition to the most likely ones.

@@ -19,7 +19,7 @@ from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import RHO_GRID
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, Problem
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rivals
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
@@ -62,22 +62,21 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     first = ranking.order[0]
     unsized = {noisy_joint_label(part) for c in case.candidates if c.label == first for part in c.variants[0][0].parts}
     # Where no cause is detected, a noisy joint may be.
-    lead = max(ranking.log_mass.values()) - float(np.log(prior["none"])) if len(chosen) else 0.0
+    lead = max(ranking.log_mass.values()) - ranking.log_none if len(chosen) else 0.0
     cache, key = case.evidence.cache.setdefault("noise_forms", {}), (chosen.tobytes(), seen, lead)
     if key not in cache:
         cache[key] = noise_forms(case, chosen, of_instrument=seen, lead=lead)
-    forms = [f for f in cache[key] if f.label not in unsized]
-    mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}
-    plain = none = float(np.log(prior["none"]))
-    noise_form = ""
+    forms = {label: form for label, form in cache[key].items() if label not in unsized}
+    mass = {label: float(np.log(prior["unknown"])) + log for label, (log, _) in forms.items()}
+    none, noise_form = ranking.log_none, ""
     if len(chosen):
         noise = (AR_NOISE, HEAVY_TAILS, *UNEQUAL_AXES, *(noisy_joint_label(j) for j in joints if j))
-        own = {"": plain, **{label: mass.pop(label) for label in noise if label in mass}}
+        own = {"": none, **{label: mass.pop(label) for label in noise if label in mass}}
         none = float(np.logaddexp.reduce(np.array([*own.values()])))
         noise_form = best_of(own, own.__getitem__, logs=True)
-    rivals = [f for f in forms if f.label in mass]
-    noise_of = {**ranking.noise, **{f.label: f.noise for f in forms}}
-    more = replace(ranking, noise=noise_of, log_noise=none - plain, noise_form=noise_form)
+    rivals = {label: forms[label] for label in mass}
+    noise_of = {**ranking.noise, **{label: noise for label, (_, noise) in forms.items()}}
+    more = replace(ranking, noise=noise_of, log_none=none, noise_form=noise_form)
     return more.with_rivals(rivals, prior)
 
 
@@ -95,8 +94,8 @@ def noisy_joint_label(joint: int) -> str:
     return f"{NOISY_JOINT}{joint}"
 
 
-def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True, lead: float = 0.0) -> Sequence[Rival]:
-    """Return each form of noise as a rival, with its log evidence over white noise.
+def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True, lead: float = 0.0) -> Rivals:
+    """Return each form of noise by label: its log evidence over white noise, and its noise.
 
     The evidence is averaged over a form's settings; each of five kinds has a fifth of the prior.
     Forms that cannot come within `POINT_LOG_EVIDENCE_WINDOW` of white noise, or of a more probable
@@ -125,7 +124,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True, lead: 
         (noisy_joint_label(j + 1), [Form(joint=j, repeatability_factor=SETTINGS.noisy_joint_factor)], len(joints))
         for j in joints
     ]
-    rivals = []
+    rivals: Rivals = {}
     for label, forms, alike in kinds:
         grids: list[Array] = []
         logs = np.zeros(0)
@@ -145,7 +144,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True, lead: 
         noise, times = likely_noise(grids[best], e.sigmas), forms[best].scale
         if times is not None and times.ndim == 2:  # the mean over the axes
             noise = replace(noise, sigma=noise.sigma * float(np.sqrt((times**2).mean())))
-        rivals.append(Rival(label, float(factor), noise))
+        rivals[label] = float(factor), noise
     return rivals
 
 

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import Array, Show
+from casadical.core.linear_gaussian.search import stepwise
 from casadical.core.statistics import ranked
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
@@ -18,7 +19,7 @@ from casadical.diagnosis.cause_sets import most_probable_set
 from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import RANDOM_LAG, better_ar_form, with_noise_forms
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
+from casadical.diagnosis.posterior import Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import log_evidence, refined
 from casadical.diagnosis.structure import shown_by
@@ -56,12 +57,16 @@ class State:
     steps : causes in the model, in the order in which they were added
     rankings : posterior over the next cause in each round
     doubted : labels of causes in the model, for others to be ranked given them, but not named
+    end : why the search ended in this state
+    p_nothing : p-value of no cause by a bootstrap, None without one
     """
 
     case: Case
     steps: tuple[Step, ...] = ()
     rankings: tuple[Ranking, ...] = ()
     doubted: frozenset[str] = frozenset()
+    end: End = "none"
+    p_nothing: float | None = None
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
@@ -144,8 +149,7 @@ class State:
         if not lost:
             return ranking
         mass = {k: m for k, m in ranking.log_mass.items() if k not in lost}
-        prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-        return replace(ranking, log_mass=mass).normalised(float(np.log(prior["none"])))
+        return replace(ranking, log_mass=mass)
 
     def _gains(self, effects: Sequence[Effect], chosen: Array) -> list[float]:
         """Return the log evidence of each effect given the other effects and chosen columns [nats].
@@ -155,8 +159,7 @@ class State:
         gains, every = [], np.union1d(chosen, self.case.group(effects))
         for effect in effects:
             given = np.setdiff1d(every, self.case.group((effect,)))
-            base = np.logaddexp.reduce(self.case.judged.log_base(given), axis=None)
-            gains.append(float(log_evidence(self.case, [(effect,)], given)[0] - base))
+            gains.append(float(log_evidence(self.case, [(effect,)], given)[0]))
         return gains
 
     @property
@@ -262,7 +265,7 @@ class State:
         return state
 
 
-def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
+def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> State:
     """Return the result of `search` under the form of noise that is most probable given its causes.
 
     Autocorrelated noise is fitted given the causes of each search, and causes are searched again
@@ -270,13 +273,13 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     it would absorb the causes. For other measurements than one set of positions, a row a stop,
     noise is white. The arguments are those of `search`.
     """
-    state, end, p_nothing = search(case, seed, bootstrap, show)
+    state = first = search(case, seed, bootstrap, show)
     if not case.observations.plain or case.evidence.stop is not None:
-        return state, end, p_nothing
+        return state
 
     lone = False  # whether sets of causes are still to be searched
 
-    def under_ar_noise(given: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
+    def under_ar_noise(given: State, least: float = 0.0, *, first: bool = False) -> State | None:
         """Return the result of a search under the best AR(1) noise given the causes of a state.
 
         Returns None if the noise is not autocorrelated or no cause is found under it.
@@ -289,42 +292,42 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         form, _, gain = follows
         show(f"causes under autocorrelated noise, coefficient {form.ar_coefficient:g}")
         given.case.judged.forget()
-        other, other_end, _ = search(case.with_form(form), seed, 0, show, sets=not first)
+        other = search(case.with_form(form), seed, 0, show, sets=not first)
         detected = other.steps and other.rankings[0].none <= SETTINGS.max_p_nothing_under_form
-        there = detected and gain + other.log_gain > least
-        return (other, other_end) if there else None
+        return other if detected and gain + other.log_gain > least else None
 
     # Effects with many parameters fit autocorrelated noise; so this noise is tried first without
     # them.
     if any(e.parts for s in state.steps for e in s.effects):
-        before, state, end = state, *(under_ar_noise(State(case), state.log_gain, first=True) or (state, end))
-        lone = before is not state
+        state = under_ar_noise(State(case), state.log_gain, first=True) or state
+        lone = state is not first
     for _ in range(SETTINGS.max_form_searches):
         found = under_ar_noise(state)
         if not found:
             break
-        (state, end), lone = found, False
+        state, lone = found, False
     if lone:
-        state, end, _ = search(case.with_form(state.case.form), seed, 0, show)
-    return state, end, p_nothing
+        state = search(case.with_form(state.case.form), seed, 0, show)
+    return replace(state, p_nothing=first.p_nothing)
 
 
-def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = True) -> tuple[State, End, float | None]:
-    """Return the final state, why the search ended, and the bootstrap's p-value of "nothing".
+def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = True) -> State:
+    """Return the final state of a search, which adds causes until no additional one is claimed.
 
     bootstrap : number of draws of noise alone; 0 for no bootstrap, whose p-value is then None
     show : called with a line of progress
     sets : whether sets of causes that explain the data only together are searched
     """
-    state, p_nothing = State(case), None
-    end: End = "none"
-    while len(state.steps) < SETTINGS.max_causes:
-        show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
-        state = state.with_residual_candidates().ranked()
-        ranking, steps = state.rankings[-1], len(state.steps)
+
+    def next_state(before: Sequence[State]) -> State:
+        """Return the state with the next cause or set of causes, if there is one."""
+        given = before[-1] if before else State(case)
+        show(f"cause {len(given.steps) + 1}: evidence of {len(given.by_label)} candidates")
+        state = given.with_residual_candidates().ranked()
+        ranking = state.rankings[-1]
         if bootstrap and not state.steps:
-            p_nothing = p_value(case, ranking, bootstrap, seed, show)
-        end, labels = next_cause(state, ranking, p_nothing)
+            state = replace(state, p_nothing=p_value(case, ranking, bootstrap, seed, show))
+        end, labels = next_cause(state, ranking, state.p_nothing)
         # Several simultaneous causes can hide each other; sets wait for the noise of a lag.
         hidden = sets and ranking.order[0] != RANDOM_LAG
         if hidden and (end in ("unknown", "ambiguous") or len(labels) > 1):
@@ -336,14 +339,21 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
             for label in several[:-1]:
                 state = state.with_cause((label,)).ranked()
             labels = several[-1:] or labels
-        if not labels:
-            break
-        before, state = state, state.with_cause(labels)
-        if state is before and len(state.steps) == steps:
-            end = "unknown" if _detected(state, state.rankings[-1], p_nothing) else "none"
-            break
-        state = state.revisited()
-    return state, end, p_nothing
+        if labels:
+            state = state.with_cause(labels)
+            if state.steps == given.steps:
+                end = "unknown" if _detected(state, state.rankings[-1], state.p_nothing) else "none"
+            else:
+                state = state.revisited()
+        return replace(state, end=end)
+
+    most = SETTINGS.max_causes
+    # A cause that covers others takes their places, so that there may be more rounds than causes.
+    return stepwise(
+        next_state,
+        lambda state, before: state.steps != (before[-1].steps if before else ()) and len(state.steps) < most,
+        2 * most,
+    )[1]
 
 
 def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -> tuple[End, tuple[str, ...]]:

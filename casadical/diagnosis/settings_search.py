@@ -14,6 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
+from casadical.core.linear_gaussian.search import log_factors
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
@@ -154,9 +155,9 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
 
 
 def log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
-    """Return the log evidence of each variant given chosen columns, shape (len(variants),)."""
-    grids = case.judged.log_grids([case.group(v) for v in variants], chosen)
-    return np.asarray(np.logaddexp.reduce((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1))
+    """Return the log Bayes factor of each variant given chosen columns, shape (len(variants),)."""
+    e = case.judged
+    return log_factors(e.log_grids([case.group(v) for v in variants], chosen), e.log_base(chosen), KAPPA_WEIGHTS)[0]
 
 
 def learnt_sizes(

@@ -6,6 +6,7 @@ be detected, are reported too. The evidence of a change is computed in `casadica
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS, marginals_of, take_over_cache
 from casadical.core.linear_gaussian.model import LinearModel
-from casadical.core.statistics import best_of, first_of_best, ranked, stepwise
+from casadical.core.linear_gaussian.search import Posterior, compared_again, log_factors, stepwise
+from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet import evidence
 from casadical.fleet.changes import MIN_ODDS_OF_CHANGE, Amount, Change, Comparison, Rival
@@ -45,6 +47,11 @@ class Hypothesis:
     since: int
     weight: float
     group: Array
+
+    @property
+    def label(self) -> str:
+        """Return candidate, course and first campaign as text, which no other hypothesis has."""
+        return f"{self.candidate.label} {self.course} {self.since}"
 
 
 def compare(
@@ -137,16 +144,14 @@ class Accepted(Hypothesis):
     """The most probable change of a step of the search.
 
     kappa : most probable ratio of the change's size to its usual one
-    masses : logarithm of Bayes factor times prior probability of every hypothesis, given the
-        changes that were accepted before, minus infinity for those that were not compared
-    score : the same for the most probable size of this one
-    odds : natural logarithm of the odds of any change in this step
+    posterior : over all hypotheses that were compared, given the changes that were accepted before;
+        its log mass of all outcomes is that of the odds of any change in this step
+    score : log Bayes factor of this one with its most probable size, plus its log prior probability
     """
 
     kappa: float
-    masses: Array
+    posterior: Posterior
     score: float
-    odds: float
 
 
 def changes_in(model: LinearModel, hypotheses: Sequence[Hypothesis]) -> tuple[list[Accepted], float, tuple[str, float]]:
@@ -158,9 +163,9 @@ def changes_in(model: LinearModel, hypotheses: Sequence[Hypothesis]) -> tuple[li
     change which only it could explain would be a false one.
     """
 
-    def sure(change: Accepted) -> bool:
+    def sure(change: Accepted, _: Sequence[Accepted] = ()) -> bool:
         """Return whether some change is probable enough to be accepted."""
-        return bool(change.odds >= np.log(MIN_ODDS_OF_CHANGE))
+        return bool(change.posterior.log_total >= np.log(MIN_ODDS_OF_CHANGE))
 
     def search(swap: bool) -> tuple[list[Accepted], float, float]:
         """Return at most four changes, the log odds of one more, and the log evidence of all.
@@ -168,9 +173,11 @@ def changes_in(model: LinearModel, hypotheses: Sequence[Hypothesis]) -> tuple[li
         The latter is the sum of the changes' log masses, by which two such lists are compared.
         swap : whether another robot is among the candidates
         """
-        found, again, last = stepwise(lambda given: _most_probable_change(model, hypotheses, given, swap=swap), sure, 4)
+        next_given = partial(_most_probable_change, model, hypotheses, swap=swap)
+        found, last = stepwise(next_given, sure, 4)
+        again = compared_again(found, next_given)
         accepted = list({a.candidate.label: a for a in again if sure(a)}.values())
-        return accepted, last.odds, sum(a.score for a in found)
+        return accepted, last.posterior.log_total, sum(a.score for a in found)
 
     accepted, remaining, score = search(swap=False)
     if len(accepted) < 2:
@@ -209,31 +216,34 @@ def _most_probable_change(
     swap : whether another robot is among the candidates, unless it is accepted already
     """
     swap = swap and all(a.candidate.kind != ANOTHER_ROBOT for a in accepted)
-    some = np.array([k for k, h in enumerate(hypotheses) if swap or h.candidate.kind != ANOTHER_ROBOT])
-    weight = np.array([hypotheses[k].weight for k in some])
+    some = {h.label: h for h in hypotheses if swap or h.candidate.kind != ANOTHER_ROBOT}
+    weight = np.array([h.weight for h in some.values()])
     if not swap:  # of all frequencies those of the other kinds sum to less than one
         kinds = {h.candidate.kind for h in hypotheses}
         often = evidence.RELATIVE_FREQUENCY
         weight *= sum(often[k] for k in kinds) / sum(often[k] for k in kinds - {ANOTHER_ROBOT})
     given, chosen = _given(model, accepted)
-    judged = marginals_of(given)
-    logs = judged.log_grids([hypotheses[k].group for k in some], chosen)[:, 0, 0] - judged.log_base(chosen)[0, 0]
-    masses = np.full(len(hypotheses), -np.inf)
-    masses[some] = np.logaddexp.reduce(logs, axis=1) - np.log(logs.shape[1]) + np.log(weight)
-    odds = float(np.logaddexp(np.logaddexp.reduce(masses), np.log(max(1e-12, 1 - weight.sum()))))
+    sizes = np.full(len(evidence.KAPPAS), 1 / len(evidence.KAPPAS))
+    base, groups = marginals_of(given).log_base(chosen), [h.group for h in some.values()]
+    factors, grids = log_factors(marginals_of(given).log_grids(groups, chosen), base, sizes)
+    logs = {(label, 0): log for label, log in zip(some, factors.tolist(), strict=True)}
+    weights = dict(zip(some, weight.tolist(), strict=True))
+    posterior = Posterior.of_variants(logs, weights, max(1e-12, 1 - float(weight.sum())))
+    mass = posterior.log_mass
 
-    def best(own: Iterable[int], key: Callable[[Hypothesis], object]) -> list[int]:
+    def best(own: Iterable[str], key: Callable[[Hypothesis], object]) -> list[str]:
         """Return those hypotheses among some that share the most probable value of a key."""
-        sets: dict[object, list[int]] = {}
+        sets: dict[object, list[str]] = {}
         for k in own:
-            sets.setdefault(key(hypotheses[k]), []).append(k)
-        return best_of(sets.values(), lambda one: float(np.logaddexp.reduce(masses[one])), logs=True)
+            sets.setdefault(key(some[k]), []).append(k)
+        return best_of(sets.values(), lambda one: float(np.logaddexp.reduce([mass[k] for k in one])), logs=True)
 
-    own = best(best(some.tolist(), lambda h: h.candidate.label), lambda h: h.course)
-    top = best_of(own, lambda k: float(masses[k]), logs=True)
-    with_sizes = logs[np.searchsorted(some, own)] + np.log(weight[np.searchsorted(some, own)])[:, None]
-    kappa = float(evidence.KAPPAS[first_of_best(with_sizes[own.index(top)], logs=True)])
-    return Accepted(**vars(hypotheses[top]), kappa=kappa, masses=masses, score=float(with_sizes.max()), odds=odds)
+    own = best(best(some, lambda h: h.candidate.label), lambda h: h.course)
+    top = best_of(own, mass.__getitem__, logs=True)
+    by_label = dict(zip(some, grids[:, 0, 0] - base[0, 0] + np.log(weight)[:, None] - np.log(sizes), strict=True))
+    kappa = float(evidence.KAPPAS[first_of_best(by_label[top], logs=True)])
+    score = max(float(by_label[k].max()) for k in own)
+    return Accepted(**vars(some[top]), kappa=kappa, posterior=posterior, score=score)
 
 
 def weighted_hypotheses(
@@ -295,7 +305,8 @@ def _change(
 ) -> Change:
     """Return the accepted change k as a result, with its possible causes, amounts and course."""
     change = accepted[k]
-    share = np.exp(change.masses - np.logaddexp.reduce(change.masses))
+    masses = np.array([change.posterior.log_mass.get(h.label, -np.inf) for h in hypotheses])
+    share = np.exp(masses - np.logaddexp.reduce(masses))
     at: dict[tuple[str, Course], list[int]] = {}
     for i, h in enumerate(hypotheses):
         at.setdefault((h.candidate.label, h.course), []).append(i)
@@ -306,7 +317,7 @@ def _change(
     likely = [hypotheses[same[i]].since for i in ranked(begun)[:enough]]
     rivals: dict[str, Rival] = {}
     for (name, course), own in at.items():
-        if not np.isfinite(change.masses[own]).any():  # not compared
+        if not np.isfinite(masses[own]).any():  # not compared
             continue
         old, mass = rivals.get(name), float(share[own].sum())
         more = (old.probability if old else 0.0) + mass
@@ -347,7 +358,7 @@ def _change(
         (min(likely), max(likely)),
         (1 - chance) * probability,
         float(share[same].sum()) / probability,
-        change.odds,
+        change.posterior.log_total,
         tuple(sorted(rivals.values(), key=lambda r: -r.probability)),
         tuple(amounts),
         np.vstack([[0.0, 0.0], np.column_stack(by_campaign)]),

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,11 @@ from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, make_case
+from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Diagnosis
 from casadical.identification.identification import identify
 from casadical.identification.result import Identification
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.measurements.reading import from_table, read_measurements
 from casadical.project.problem import read_problem
 
@@ -45,6 +47,19 @@ def diagnose(*what: Any, **more: Any) -> Diagnosis:
 @cache
 def diagnosed(name: str) -> Diagnosis:
     return diagnose(robot(name.split("-")[0]), practice(name), laws=True)
+
+
+def made_up(shares: dict[str, float], none: float = 1e-6) -> Ranking:
+    """A ranking with these probabilities, up to a factor, and that of no further cause."""
+    mass = {label: float(np.log(share)) for label, share in shares.items()}
+    noise = dict.fromkeys(("", *shares), Noise(2e-5, 0.0))
+    return Ranking(float(np.log(max(none, 1e-300))), {}, mass, dict.fromkeys(shares, 0), noise)
+
+
+def with_none(ranking: Ranking, none: float) -> Ranking:
+    """The ranking with another probability of no further cause."""
+    others = float(np.logaddexp.reduce([*ranking.log_mass.values()]))
+    return replace(ranking, log_none=others + float(np.log(none / (1 - none))))
 
 
 @cache

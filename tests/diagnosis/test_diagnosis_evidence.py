@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, diagnose, practice, robot, small_problem
+from cases import case, diagnose, practice, robot, small_problem, with_none
 from scipy.stats import multivariate_normal
 
 from casadical import InputError
@@ -202,7 +202,7 @@ def test_p_value_counts_draws_beyond_the_data() -> None:
     assert p == bootstrap.p_value(c, ranking, 700, 0, heard.append)
     assert 0.05 < p <= 1
     assert len(heard) == 4
-    assert bootstrap.p_value(c, replace(ranking, none=1e-12), 100, 0, heard.append) == pytest.approx(1 / 101)
+    assert bootstrap.p_value(c, with_none(ranking, 1e-12), 100, 0, heard.append) == pytest.approx(1 / 101)
 
 
 @pytest.mark.slow

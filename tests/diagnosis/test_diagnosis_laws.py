@@ -47,7 +47,7 @@ from casadical.diagnosis.laws.search import (
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import linearise
 from casadical.diagnosis.noise_forms import ar_form, better_ar_form
-from casadical.diagnosis.posterior import PRIOR_FIRST, Rival
+from casadical.diagnosis.posterior import PRIOR_FIRST
 from casadical.diagnosis.text import as_json as diagnosis_json
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
@@ -311,7 +311,7 @@ def test_a_form_is_claimed_only_if_nothing_further_and_no_listed_effect_is_proba
     smooth = next(s for s in first.laws if s.form == SMOOTH_FORM)
     assert not replace(first, laws=(smooth, *first.laws)).claimed
     noise = max(first.rivals, key=lambda k: ("noise" in k, first.rivals[k]))
-    doubted = replace(first.ranking, log_mass={**first.ranking.log_mass, noise: 1e3}).normalised(0.0)
+    doubted = replace(first.ranking, log_mass={**first.ranking.log_mass, noise: 1e3})
     assert not replace(first, ranking=doubted).claimed
 
 
@@ -415,7 +415,7 @@ def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None
     law, _ = laws_before_causes(right)
     sure = next(s for s in law.laws if s.form != SMOOTH_FORM)
     sure = replace(sure, score=1e6)
-    ranking = law.ranking.with_rivals([Rival(sure.candidate.label, 1e6, sure.noise)], PRIOR_FIRST)
+    ranking = law.ranking.with_rivals({sure.candidate.label: (1e6, sure.noise)}, PRIOR_FIRST)
     claimed = replace(law, laws=(sure,), ranking=ranking, alias=(), further=1.0)
     assert claimed.claimed
     assert replaces_causes(replace(right, causes=()), claimed)

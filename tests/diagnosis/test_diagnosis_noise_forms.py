@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cases import case, diagnose, robot, simulated
+from cases import case, diagnose, robot, simulated, with_none
 from planted import misread, planted
 from scipy import stats
 from scipy.optimize import brentq
@@ -174,10 +174,8 @@ def test_forms_that_a_cause_outweighs_are_no_rivals() -> None:
     c = case("kr210-P02", "joint_error_curve", "backlash")
     chosen = c.group(next(own for own in c.candidates if own.label == "joint_error_curve").variants[0])
     assert len(chosen) > MIN_ESTIMATED_COLUMNS  # fewer are not estimated
-    every = {form.label: form for form in noise_forms(c, chosen)}
-    with_lead = {form.label: form for form in noise_forms(c, chosen, lead=1e6)}
-    assert every
-    assert not with_lead
+    assert noise_forms(c, chosen)
+    assert not noise_forms(c, chosen, lead=1e6)
 
 
 def test_noise_of_one_size_is_unequal_along_no_axes() -> None:
@@ -223,7 +221,7 @@ def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None
 def test_a_joint_scatters_in_a_ranking_where_its_scatter_leads_and_something_is_there() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, scatter(2, 80e-6), n=60), ["backlash"])
     assert noisy_joint(d.case, d.rankings[0]) == 2
-    assert noisy_joint(d.case, replace(d.rankings[0], none=0.5)) is None
+    assert noisy_joint(d.case, with_none(d.rankings[0], 0.5)) is None
 
 
 def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> None:

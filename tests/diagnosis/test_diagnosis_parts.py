@@ -10,7 +10,7 @@ from typing import Any
 import arms
 import numpy as np
 import pytest
-from cases import ROOT, diagnose, planar, robot, small_problem
+from cases import ROOT, diagnose, made_up, planar, robot, small_problem, with_none
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal, norm
@@ -34,7 +34,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
 from casadical.diagnosis.noise_account import Rule
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, prior_weights, rank
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, prior_weights, rank
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import Statement, statements
@@ -207,7 +207,7 @@ def test_thirds_are_named_to_a_tenth() -> None:
 
 @pytest.mark.parametrize(("p", "told"), [(None, "P(nothing) = 0.2"), (5e-4, "p < 0.0005"), (1e-3, "p = 0.001")])
 def test_a_p_value_is_told_to_a_thousandth(p: float | None, told: str) -> None:
-    d = replace(planar(), p_nothing=p, rankings=(replace(planar().rankings[0], none=0.2),))
+    d = replace(planar(), p_nothing=p, rankings=(with_none(planar().rankings[0], 0.2),))
     assert next(s for s in statements(d) if s.about == "GAP").text.endswith(told)
 
 
@@ -268,7 +268,7 @@ def test_learnt_sizes_hold_about_the_noise_at_which_they_were_learnt(ratio: floa
 
 def test_rivals_of_a_cause_are_the_others_that_remain_probable() -> None:
     probability = {"backlash@2": 0.7, "nonlinear_stiffness@2": 0.2, "unknown": 0.01}
-    ranking = Ranking(0.09, probability, {}, {}, {}, {"": Noise(2e-5, 0.0)})
+    ranking = made_up(probability, 0.09)
     assert rivals_of(Step(ranking, ("backlash@2",), ()), [*probability]) == ("nonlinear_stiffness@2",)
     assert rivals_of(Step(ranking, ("backlash@2", "unknown"), ()), [*probability]) == ("unknown",)
 

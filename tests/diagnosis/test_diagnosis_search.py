@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case, diagnose, robot, simulated
+from cases import case, diagnose, made_up, robot, simulated
 from planted import planted
 
 from casadical.core.basics import silent
@@ -22,7 +22,6 @@ from casadical.diagnosis.laws.discovery import describe_unlisted
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.noise_forms import HEAVY_TAILS, noisy_joint_label
-from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import layers, statements
@@ -30,7 +29,7 @@ from casadical.diagnosis.text import as_json, diagnosis_files, page_of
 from casadical.effects import GravityCompensator
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import Measurements, Noise
+from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_problem
 
 ROOT = Path(__file__).parents[2]
@@ -78,14 +77,13 @@ def eccentric() -> Diagnosis:
 def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -> None:
     """Whether something more is there is open: neither detected nor excluded."""
     plain = eccentric()
-    state, end, _ = search.search(plain.case, 0, 0, silent)
+    state = search.search(plain.case, 0, 0, silent)
     last = state.rankings[-1]
-    probability = {k: p / (1 + odds) for k, p in last.probability.items()} | {"law": odds * last.none / (1 + odds)}
+    mass = {**last.log_mass, "law": last.log_none + np.log(odds)}
     factor = {**last.log_factor, "law": 0.5 * state.log_gain}
-    law = replace(last, none=last.none / (1 + odds), probability=probability, log_factor=factor)
-    noise = {**last.noise, "law": last.noise[""]}
-    state = replace(state, rankings=(*state.rankings[:-1], replace(law, noise=noise)))
-    d = conclude(plain.identification, state, end, 0)
+    law = replace(last, log_mass=mass, log_factor=factor, noise={**last.noise, "law": last.noise[""]})
+    state = replace(state, rankings=(*state.rankings[:-1], law))
+    d = conclude(plain.identification, state, 0)
     assert (d.verdict, [c.label for c in d.causes]) == (verdict, ["gear_eccentricity@4"])
     assert d.cause_set is not None
     (labels, p), *_ = d.cause_set.others
@@ -103,9 +101,10 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
 def test_nothing_is_explained_where_noise_has_a_form(gain: float, form: str, verdict: str, confidence: float) -> None:
     """The form has a share of the evidence of the cause; up to 0.05 it is a flaw of its equation."""
     plain = eccentric()
-    state, end, _ = search.search(plain.case, 0, 0, silent)
-    last = replace(state.rankings[-1], noise_form=form, log_noise=gain * state.log_gain)
-    d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last)), end, 0)
+    state = search.search(plain.case, 0, 0, silent)
+    last = state.rankings[-1]
+    last = replace(last, noise_form=form, log_none=last.log_none + gain * state.log_gain)
+    d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last)), 0)
     assert (d.verdict, form in d.account.doubt) == (verdict, verdict == "unknown" or not form)
     assert d.causes[0].confidence == pytest.approx((1 - SETTINGS.look_alike) * confidence, rel=0.02)
     untried = SETTINGS.untried_in_doubt if verdict == "unknown" else SETTINGS.untried
@@ -116,10 +115,11 @@ def test_nothing_is_explained_where_noise_has_a_form(gain: float, form: str, ver
 @pytest.mark.parametrize("label", ["any function of q4 in joint 5", "smooth in q2 and q4", "smooth in q3"])
 def test_more_at_the_joint_of_a_cause_or_driven_by_it_halves_its_probability(label: str) -> None:
     plain = eccentric()
-    state, _, _ = search.search(plain.case, 0, 0, silent)
-    more = {"none": 0.01, "probability": {label: 0.99}, "log_factor": {label: 0.5 * state.log_gain}}
-    last = replace(state.rankings[-1], **more)
-    d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last)), "unknown", 0)
+    state = search.search(plain.case, 0, 0, silent)
+    shares = made_up({label: 0.99}, 0.01)
+    last = replace(state.rankings[-1], log_none=shares.log_none, log_mass=shares.log_mass)
+    last = replace(last, log_factor={label: 0.5 * state.log_gain})
+    d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last), end="unknown"), 0)
     expected = (1 - SETTINGS.look_alike) * (1.0 if "q3" in label else 0.5)
     assert (d.verdict, d.causes[0].confidence) == ("unknown", pytest.approx(expected, rel=0.02))
 
@@ -131,13 +131,8 @@ def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pyte
     assert state.with_cause(("backlash",)) is state
     monkeypatch.setattr(search, "next_cause", lambda *_: ("unknown", ()))
     monkeypatch.setattr(State, "most_probable_set", lambda _: (("backlash",), frozenset()))
-    last, end, _ = search.search(clean, 0, 0, silent)
-    assert (last.steps, end) == ((), "none")
-
-
-def made_up(shares: dict[str, float], none: float = 1e-6) -> Ranking:
-    noise = dict.fromkeys(("", *shares), Noise(2e-5, 0.0))
-    return Ranking(none, shares, {}, {}, dict.fromkeys(shares, 0), noise)
+    last = search.search(clean, 0, 0, silent)
+    assert (last.steps, last.end) == ((), "none")
 
 
 def test_what_the_others_make_improbable_is_not_in_their_model(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +140,7 @@ def test_what_the_others_make_improbable_is_not_in_their_model(monkeypatch: pyte
     each = {"frame_drift": 0.0, "thermal_growth": 0.9}.items()  # probability of none given the other
     steps = tuple(Step(made_up({k: 1 - none}, none), (k,), State(own).by_label[k].variants[0]) for k, none in each)
     monkeypatch.setattr(claims, "_given_others", lambda s, k, **_: seen.append(len(s.steps)) or s.steps[k])
-    claims.named(State(own, steps).ranked(), "none", 0)
+    claims.named(State(own, steps).ranked(), 0)
     assert seen == [2, 2, 1, 1]
 
 
@@ -159,13 +154,15 @@ def test_a_spring_that_hides_the_compliance_of_its_joint_remains_a_candidate() -
 @pytest.mark.parametrize("none", [1e-4, 0.4])
 def test_one_more_cause_that_is_there_has_names_and_leaves_a_gap(none: float) -> None:
     own = case("kr210-P02")
-    last = made_up({"backlash@1": 0.55, "friction_windup@1": 0.44, "frame_drift": 0.01}, none)
+    share = 1 - none
+    last = made_up({"backlash@1": 0.55 * share, "friction_windup@1": 0.44 * share, "frame_drift": 0.01 * share}, none)
     step = Step(last, ("frame_drift",), own.candidates[0].variants[0])
     state = State(own, (step,), (step.ranking, last))
     found = with_additional_cause(cause_set(state), state, 0)
     assert found is not None
     there = none < 0.05
-    assert found.further == ({"backlash@1": 0.55, "friction_windup@1": 0.44} if there else {})
+    further = {"backlash@1": pytest.approx(0.55 * share), "friction_windup@1": pytest.approx(0.44 * share)}
+    assert found.further == (further if there else {})
     assert (found.further_gap > 0) == there
 
 
@@ -175,7 +172,7 @@ def test_a_member_with_several_names_counts_as_one() -> None:
     found = cause_set(State(case("kr210-P02"), (step,), (ranking, made_up({}, none=1.0))))
     assert found is not None
     assert found.members == {"friction_windup@1": pytest.approx(0.95)}
-    assert found.names == {"friction_windup@1": {"friction_windup@1": 0.8, "backlash@1": 0.15}}
+    assert found.names == {"friction_windup@1": pytest.approx({"friction_windup@1": 0.8, "backlash@1": 0.15})}
     assert [labels for labels, _ in found.others] == [("z",)]
 
 
@@ -293,9 +290,9 @@ def test_layers_go_from_the_calibrated_robot_to_the_noise(both: Diagnosis) -> No
 def test_a_floor_that_a_further_form_goes_below_explains_nothing(both: Diagnosis) -> None:
     """The second cause is there, but the search ended with the first one claimed, as it does after its most causes."""
     assert both.verdict == "explained"
-    state, *_ = search.search(both.case, 0, 0, silent)
-    first = replace(state, steps=state.steps[:1], rankings=state.rankings[:1])
-    cut = conclude(both.identification, first, "claimed", 0)
+    state = search.search(both.case, 0, 0, silent)
+    first = replace(state, steps=state.steps[:1], rankings=state.rankings[:1], end="claimed")
+    cut = conclude(both.identification, first, 0)
     assert len(cut.causes) == 1
     assert cut.verdict == "unknown"
     assert cut.unknown_rest > 0.1

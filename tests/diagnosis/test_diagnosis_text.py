@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from cases import diagnose, practice, robot
+from cases import diagnose, made_up, practice, robot, with_none
 
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.details import Details, analyse
@@ -17,7 +17,6 @@ from casadical.diagnosis.localisation import BIN_COLUMNS, DIRECTION_COLUMNS, PAR
 from casadical.diagnosis.next_poses import probability_after
 from casadical.diagnosis.noise_account import NoiseAccount, Rule
 from casadical.diagnosis.noise_floor import Replicates
-from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import headline, missing_columns, not_logged
 from casadical.diagnosis.text import PAGE_WIDTH, as_json, brief, page_of
@@ -54,7 +53,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
     ]
     noise = Noise(12e-6, 5e-6)
     account = NoiseAccount(14e-6, 12e-6, 5e-6, 20e-6, 0.0, 12e-6, 36, Rule.REPEATS, 0.0, "", (), like_noise=True)
-    one = Ranking(1e-9, {label: 0.55, rival: 0.45}, {}, {}, {}, {"": noise})
+    one = replace(made_up({label: 0.55, rival: 0.45}, 1e-9), noise={"": noise})
     return replace(
         true,
         verdict="ambiguous",
@@ -243,8 +242,8 @@ def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability:
 
 @pytest.mark.parametrize(("nothing", "said"), [(0.12, "just below"), (0.09, "just above"), (0.2, ""), (0.01, "")])
 def test_something_at_its_threshold_is_said_as_such(fixed: Diagnosis, nothing: float, said: str) -> None:
-    first = replace(fixed.rankings[0], none=nothing)
-    d = replace(fixed, verdict="none", causes=(), cause_set=None, rankings=(first, replace(first, none=0.049)))
+    first = with_none(fixed.rankings[0], nothing)
+    d = replace(fixed, verdict="none", causes=(), cause_set=None, rankings=(first, with_none(first, 0.049)))
     text = " ".join(page_of(d).split())
     assert ("an effect is just" in text) == bool(said)
     assert f"{said} the threshold of detection: P(nothing) = {nothing:.3f}, detected up to 0.1" in text or not said

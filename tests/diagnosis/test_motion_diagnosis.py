@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from casadical import Body, InputError, Joint, Robot, write_robot
 from casadical.cli.root import app
 from casadical.core.drive import Drive
+from casadical.core.linear_gaussian.search import Posterior
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.candidates import own_causes
@@ -562,6 +563,11 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
     assert "toy_tooth" not in motion_effects()
 
 
+def sure(label: str, gain: float, rival: float = 0.0) -> Found:
+    """A cause that is certain, with this log evidence and that of the best unlisted one."""
+    return Found(Posterior(0.0, {label: gain}, {label: gain}, {label: 0}), label, True, 1.0, (label,), rival)
+
+
 @pytest.mark.parametrize(
     ("name", "gain", "rival", "fits"),
     [
@@ -574,12 +580,12 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
     ],
 )
 def test_a_cause_fits_with_more_evidence_than_healthy_logs_and_smooth_functions_have(name, gain, rival, fits):
-    assert Found(f"{name}@2", 0, True, 1.0, (f"{name}@2",), gain, rival).fits is fits
+    assert sure(f"{name}@2", gain, rival).fits is fits
 
 
 def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
     labels = (("lag@1", 400.0), ("saturation@1", 120.0), ("ripple@2", 50.0), ("spring@3", 80.0))
-    found = [Found(k, 0, True, 1.0, (k,), gain, 0.0) for k, gain in labels]
+    found = [sure(k, gain) for k, gain in labels]
     for torque, named in ((1.0, ["lag@1", "spring@3"]), (None, [])):
         view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
         assert [f.label for f in LogDiagnosis(None, view, None, found, (), ()).named] == named
@@ -588,7 +594,7 @@ def test_of_one_joint_one_cause_is_named_and_of_commands_alone_none():
 @pytest.mark.parametrize(("gain", "torque", "fits"), [(150, None, 0), (160, None, 1), (150, 1.0, 1)])
 def test_of_commands_alone_a_cause_of_the_arm_needs_more_than_healthy_logs_have(gain, torque, fits):
     view = SimpleNamespace(motion=SimpleNamespace(torque=torque))
-    found = [Found("warm_up", 0, True, 1.0, ("warm_up",), gain, 0.0)]
+    found = [sure("warm_up", gain)]
     assert bool(LogDiagnosis(None, view, None, found, (), ()).fitting) == fits
 
 

@@ -16,6 +16,7 @@ are judged as causes. Blocks with fewer rows than m are padded with rows of zero
 - `model`: `LinearModel`, the user's input
 - `sums`: Gram matrices of the whitened columns, accumulated over the blocks for every rho
 - `marginals`: marginal log likelihoods of groups of columns over the grid
+- `search`: the posterior over the next group, and the steps by which groups are added
 - `fit`: estimates at one noise level, and residuals of blocks that the fit excludes
 
 The formulas are in docs/linear-gaussian.md.

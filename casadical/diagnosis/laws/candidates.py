@@ -17,6 +17,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.marginals import marginals_of
+from casadical.core.linear_gaussian.search import log_factors
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
@@ -195,9 +196,7 @@ class LawProblem:
         prior = np.full(every.shape[2], CAUSE_PRIOR_SIGMA)
         judged = marginals_of(self.evidence).of_other_columns(array_columns(every), prior)
         groups = list(np.arange(every.shape[2]).reshape(columns.shape[2:]))
-        grids = np.asarray(judged.log_grids(groups) + np.log(KAPPA_WEIGHTS))
-        none = float(np.logaddexp.reduce(self.evidence.log_base(), axis=None))
-        return np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - none, grids
+        return log_factors(judged.log_grids(groups), judged.log_base(), KAPPA_WEIGHTS)
 
     def judged(self, candidates: Sequence[LawCandidate]) -> list[ScoredLaw]:
         """Return each candidate with the best settings of its grid."""

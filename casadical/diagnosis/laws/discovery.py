@@ -12,7 +12,7 @@ import numpy as np
 
 from casadical.core.basics import Array, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
-from casadical.core.statistics import stepwise
+from casadical.core.linear_gaussian.search import compared_again, stepwise
 from casadical.diagnosis.candidates import EffectChoice
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
@@ -71,12 +71,12 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
         label = own.order[0]
         return Step(own, (label,), by_label[label].variants[own.variant[label]])
 
-    def enough(form: Step) -> bool:
+    def enough(form: Step, _: Sequence[Step]) -> bool:
         """Return whether a form is added to the description."""
         own = form.ranking
         return own.none <= SETTINGS.max_p_nothing_further and own.probability[form.labels[0]] > 0.5
 
-    _, forms, _ = stepwise(next_form, enough, 4)
+    forms = compared_again(stepwise(next_form, enough, 4)[0], next_form)
     columns = columns_with(forms)
     noise = found.noise if found.effects() else found.rankings[0].noise[""]
     before = partitioned_errors(case.evidence, found.columns, noise, seed)

@@ -23,7 +23,7 @@ from casadical.diagnosis.laws.candidates import LawProblem, Round, ScoredLaw, de
 from casadical.diagnosis.laws.forms import SMOOTH_FORM
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import ar_form, better_ar_form, with_noise_forms
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival, rank
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
@@ -89,7 +89,7 @@ def _by_score(laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
 def _with_laws(ranking: Ranking, laws: Sequence[ScoredLaw], chosen: Array) -> Ranking:
     """Return the ranking with laws among its candidates; chosen : columns in the model."""
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    return ranking.with_rivals([Rival(s.candidate.label, s.score, s.noise) for s in laws], prior)
+    return ranking.with_rivals({s.candidate.label: (s.score, s.noise) for s in laws}, prior)
 
 
 def with_law(case: Case, law: Law) -> Case:

@@ -10,7 +10,7 @@ hypothesis, so that a cause is not taken for noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,19 +18,20 @@ import numpy as np
 from scipy.special import gammaln
 
 from casadical.core.basics import Array
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.linear_gaussian.noise import log_gain_by_size
+from casadical.core.linear_gaussian.search import Posterior, stepwise
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS
 from casadical.diagnosis.motion.view import LogView, Signals
-from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, prior_weights
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, prior_weights
 
 # Samples of torques and positions that count as independent in a second, as noise is correlated.
 INDEPENDENT_SAMPLES_PER_S = {"torque": 8.0, "position": 3.0}
 NOISE_FREEDOM = 20.0  # degrees of freedom of the prior of a joint's noise variance
 NOISE_ROUNDS = 5  # number of alternating estimates of parameters and noise
 EXACT_CANDIDATES = 12  # number of the best listed candidates whose noise is estimated again
-NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
 MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
 MAX_CAUSES = 3  # largest number of causes that are searched for
 MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
@@ -248,7 +249,7 @@ class LogProblem:
             out[key] = log_gain_by_size(S[None], right[None, group], KAPPA_GRID)[0]
         return out
 
-    def rank(self, skip: frozenset[str] = frozenset()) -> Ranking:
+    def rank(self, skip: frozenset[str] = frozenset()) -> Posterior:
         """Return the posterior over the next cause.
 
         skip : labels of the causes that are in the base already
@@ -258,7 +259,7 @@ class LogProblem:
         by_kappa = self._screened()
         log_weights = np.log(KAPPA_WEIGHTS)
         logs = {k: float(np.logaddexp.reduce(own + log_weights)) for k, own in by_kappa.items()}
-        first = Ranking.of_variants(logs, *given)
+        first = Posterior.of_variants(logs, *given)
         ordered = [list(first.log_factor)[k] for k in ranked(list(first.log_factor.values()))]
         listed = [label for label in ordered if self.by_label[label].listed][:EXACT_CANDIDATES]
         unlisted = [k for k in ordered if not self.by_label[k].listed]
@@ -274,29 +275,39 @@ class LogProblem:
                 logs |= {k: logs[k] + gain - float(by_kappa[key].max()) for k in alike}
             elif gain > np.logaddexp.reduce([logs[k] for k in alike]):
                 logs |= {**dict.fromkeys(alike, -np.inf), key: gain}
-        return Ranking.of_variants(logs, *given)
+        return Posterior.of_variants(logs, *given)
 
 
 @dataclass(frozen=True)
 class Found:
     """A cause in the model.
 
-    label, variant : label of the candidate, index of its variant; listed : whether it is listed
+    label : label of the candidate; listed : whether it is listed
+    ranking : posterior over the next cause from which it was taken
     probability : posterior of it and its twins, given that there is a cause, listed or not
     twins : labels of causes that these data do not distinguish from it, itself first
-    gain : log evidence [nats]; rival : that of the best unlisted cause, of a smooth function
-        `SMOOTH_SHARE` of it [nats]
+    rival : log evidence of the best unlisted cause, of a smooth function `SMOOTH_SHARE` of it
+        [nats]
     usual : whether it is no larger than in a healthy arm
     """
 
+    ranking: Posterior
     label: str
-    variant: int
     listed: bool
     probability: float
     twins: tuple[str, ...]
-    gain: float
     rival: float
     usual: bool = False
+
+    @property
+    def variant(self) -> int:
+        """Return the index of the candidate's most likely variant."""
+        return self.ranking.variant[self.label]
+
+    @property
+    def gain(self) -> float:
+        """Return the log evidence [nats]."""
+        return self.ranking.log_factor[self.label]
 
     @property
     def fits(self) -> bool:
@@ -321,7 +332,7 @@ def joint_of(label: str) -> str:
     return label.partition("@")[2] or label.partition(" of joint ")[2].partition(" ")[0]
 
 
-def twins_of(label: str, ranking: Ranking) -> tuple[str, ...]:
+def twins_of(label: str, ranking: Posterior) -> tuple[str, ...]:
     """Return a cause's label and those of its `TWIN_EFFECTS` at most 5 nats below its evidence."""
     name, _, joint = label.partition("@")
     near = [k for k in ranking.order if ranking.log_factor[k] > ranking.log_factor[label] - 5.0 and k != label]
@@ -329,25 +340,27 @@ def twins_of(label: str, ranking: Ranking) -> tuple[str, ...]:
     return label, *(k for k in alike if name in ("payload", "link_mass") or k.partition("@")[2] in ("", joint))
 
 
-def search(problem: LogProblem) -> tuple[tuple[Found, ...], tuple[Ranking, ...]]:
+def search(problem: LogProblem) -> tuple[tuple[Found, ...], tuple[Posterior, ...]]:
     """Return the causes of a log, added one by one until no additional one is detected.
 
     The second item is the posterior over the next cause in each step.
     The search also ends where evidence is below `MIN_EVIDENCE`, after a second unlisted cause and
     after `MAX_CAUSES`.
     """
-    found: tuple[Found, ...] = ()
-    rankings: tuple[Ranking, ...] = ()
     least = min(MIN_EVIDENCE[r.kind] for r in problem.rows)
-    while True:
-        ranking = problem.given(found).rank(frozenset(f.label for f in found))
-        rankings = (*rankings, ranking)
-        best = next_cause(problem, ranking)
-        if ranking.none > MAX_NOTHING_PROBABILITY or best.gain < least or len(found) == MAX_CAUSES:
-            return found, rankings
-        found = (*found, replace(best, usual=is_usual_ripple(problem, best)))
-        if sum(not f.listed for f in found) > 1:
-            return found, rankings
+
+    def next_given(found: Sequence[Found]) -> Found:
+        """Return the most probable cause in addition to some."""
+        best = next_cause(problem, problem.given(found).rank(frozenset(f.label for f in found)))
+        return replace(best, usual=is_usual_ripple(problem, best))
+
+    def is_cause(best: Found, found: Sequence[Found]) -> bool:
+        """Return whether a cause is added to some."""
+        detected = best.ranking.none <= MAX_NOTHING_PROBABILITY and best.gain >= least
+        return detected and sum(not f.listed for f in found) < 2
+
+    found, last = stepwise(next_given, is_cause, MAX_CAUSES)
+    return tuple(found), tuple(f.ranking for f in (*found, last))
 
 
 def is_usual_ripple(problem: LogProblem, found: Found) -> bool:
@@ -366,7 +379,7 @@ def is_usual_ripple(problem: LogProblem, found: Found) -> bool:
     return bool(amplitude < USUAL_RIPPLE_SHARE * dry)
 
 
-def next_cause(problem: LogProblem, ranking: Ranking) -> Found:
+def next_cause(problem: LogProblem, ranking: Posterior) -> Found:
     """Return the most probable listed cause with its twins, or the unlisted one if that is more probable.
 
     Unlisted causes have the prior odds `UNLISTED_ODDS`, a quarter for rivals by name, the rest for
@@ -386,10 +399,8 @@ def next_cause(problem: LogProblem, ranking: Ranking) -> Found:
     p = np.exp(logs - np.logaddexp.reduce(logs))
     own, other = sum(float(p[listed.index(k)]) for k in twins), float(p[len(listed) :].sum())
     if other > own:
-        return Found(best, ranking.variant[best], False, other, (best,), ranking.log_factor[best], mass[best])
-    return Found(
-        top, ranking.variant[top], True, min(1.0, own), twins, ranking.log_factor[top], max(mass.get(best, 0.0), 0.0)
-    )
+        return Found(ranking, best, False, other, (best,), mass[best])
+    return Found(ranking, top, True, min(1.0, own), twins, max(mass.get(best, 0.0), 0.0))
 
 
 def smooth_functions(view: LogView, rows: Iterable[Rows], variance: Array) -> Iterator[tuple[Candidate, list[Signals]]]:

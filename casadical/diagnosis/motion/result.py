@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, InputError, Show
+from casadical.core.linear_gaussian.search import Posterior
 from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
@@ -19,7 +20,6 @@ from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
 from casadical.diagnosis.motion.hypotheses import NAMED_RIVALS, problem_of
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
 from casadical.diagnosis.motion.view import UNDECLARED_PAYLOAD_SHARE, LogView, log_view
-from casadical.diagnosis.posterior import Ranking
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
@@ -85,7 +85,7 @@ class LogDiagnosis(Result):
     view: LogView
     problem: LogProblem
     found: tuple[Found, ...]
-    rankings: tuple[Ranking, ...]
+    rankings: tuple[Posterior, ...]
     faults: tuple[Fault, ...]
     stops: tuple[Stop, ...] = ()
     reference: str = field(default="", metadata=WRITTEN)
