@@ -1,17 +1,18 @@
 """All commands behave alike: the same flags in the same words, completion that works, progress only on a terminal."""
 
+import os
+import pty
 import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from io import StringIO
+from contextlib import suppress
 from pathlib import Path
 
 import click
 import pytest
 import typer
 from command_line import ROOT
-from rich.console import Console
 
 from casadical.cli import app, terminal
 from casadical.cli import options as o
@@ -107,11 +108,18 @@ def test_a_step_begins_within_the_work(steps: terminal.Steps) -> None:
     assert all(0 <= begun < 1 for begun in steps.values())
 
 
-def test_the_bar_on_a_terminal_shows_step_and_share(monkeypatch: pytest.MonkeyPatch) -> None:
-    screen = StringIO()
-    monkeypatch.setattr(screen, "isatty", lambda: True)
-    console = Console(file=screen, force_terminal=True, width=120)
-    monkeypatch.setattr(terminal, "Console", lambda **_: console)
-    with terminal.working(False, "choosing", "arm", PLAN) as show:
-        show("accuracy at the task")
-    assert re.search(r"60%.*arm: accuracy at the task", screen.getvalue())
+def test_the_bar_on_a_real_terminal_shows_step_and_share_and_is_wiped() -> None:
+    seen, terminal_side = pty.openpty()
+    environment = {k: v for k, v in os.environ.items() if k not in ("NO_COLOR", "CI")} | {"TERM": "xterm"}
+    command = [BIN / "casadical", "diagnose", "problems/planar"]
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=terminal_side) as process:
+        os.close(terminal_side)
+        shown = b""
+        with suppress(OSError):  # the other end is closed
+            while part := os.read(seen, 4096):
+                shown += part
+        assert process.stdout
+        assert b"signatures of the candidates" not in process.stdout.read()
+    os.close(seen)
+    assert re.search(r"\d%.*planar: signatures of the candidates", shown.decode())
+    assert shown.endswith(b"\x1b[2K")  # the last line is erased

@@ -69,15 +69,15 @@ def test_the_sets_that_remain_are_those_that_differ_by_one_cause() -> None:
 
 
 @cache
-def eccentric() -> Diagnosis:
-    return diagnose(robot("ur10e"), simulated("ur10e", 12, planted("gear_eccentricity", 4, size=150e-6), n=60))
+def eccentric() -> tuple[Diagnosis, State]:
+    d = diagnose(robot("ur10e"), simulated("ur10e", 12, planted("gear_eccentricity", 4, size=150e-6), n=60))
+    return d, search.search(d.case, 0, 0, silent)
 
 
 @pytest.mark.parametrize(("odds", "verdict"), [(3.0, "ambiguous"), (0.3, "explained")])
 def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -> None:
     """Whether something more is there is open: neither detected nor excluded."""
-    plain = eccentric()
-    state = search.search(plain.case, 0, 0, silent)
+    plain, state = eccentric()
     last = state.rankings[-1]
     mass = {**last.log_mass, "law": last.log_none + np.log(odds)}
     factor = {**last.log_factor, "law": 0.5 * state.log_gain}
@@ -100,8 +100,7 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
 ])  # fmt: skip
 def test_nothing_is_explained_where_noise_has_a_form(gain: float, form: str, verdict: str, confidence: float) -> None:
     """The form has a share of the evidence of the cause; up to 0.05 it is a flaw of its equation."""
-    plain = eccentric()
-    state = search.search(plain.case, 0, 0, silent)
+    plain, state = eccentric()
     last = state.rankings[-1]
     last = replace(last, noise_form=form, log_none=last.log_none + gain * state.log_gain)
     d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last)), 0)
@@ -114,8 +113,7 @@ def test_nothing_is_explained_where_noise_has_a_form(gain: float, form: str, ver
 
 @pytest.mark.parametrize("label", ["any function of q4 in joint 5", "smooth in q2 and q4", "smooth in q3"])
 def test_more_at_the_joint_of_a_cause_or_driven_by_it_halves_its_probability(label: str) -> None:
-    plain = eccentric()
-    state = search.search(plain.case, 0, 0, silent)
+    plain, state = eccentric()
     shares = made_up({label: 0.99}, 0.01)
     last = replace(state.rankings[-1], log_none=shares.log_none, log_mass=shares.log_mass)
     last = replace(last, log_factor={label: 0.5 * state.log_gain})
