@@ -25,26 +25,24 @@ if TYPE_CHECKING:
     import casadi
 
 
-class OutputBuffers:
-    """Memory for the layers' outputs, which is reused by the next call.
+# Memory for the layers' outputs, by the index of the layer and whether the array is its input. It
+# is reused by the next call, because allocating costs more than the matrix products.
+OutputBuffers = dict[tuple[int, bool], Array]
 
-    Allocating new memory in each call costs more than the matrix products.
+
+def _reused(
+    buffers: OutputBuffers, level: int, shape: tuple[int, ...], dtype: np.dtype[Any], ones: bool = False
+) -> Array:
+    """Return an array of this shape, whose memory the next call for the same layer reuses.
+
+    level : index of the layer
+    ones : whether the array is an input of the layer and begins as ones; its last row, the input of
+        the biases, is never written to and stays one. Else its content is undefined.
     """
-
-    def __init__(self) -> None:
-        self._arrays: dict[tuple[int, bool], Array] = {}
-
-    def __call__(self, level: int, shape: tuple[int, ...], dtype: np.dtype[Any], ones: bool = False) -> Array:
-        """Return an array of this shape, whose memory the next call for the same layer reuses.
-
-        level : index of the layer
-        ones : whether the array is an input of the layer and begins as ones; its last row, the
-            input of the biases, is never written to and stays one. Else its content is undefined.
-        """
-        buffer, tail = self._arrays.get((level, ones)), shape[1:]
-        if buffer is None or buffer.dtype != dtype or buffer.shape[1:] != tail or len(buffer) < shape[0]:
-            buffer = self._arrays[level, ones] = (np.ones if ones else np.empty)(shape, dtype)
-        return buffer[: shape[0]]
+    buffer, tail = buffers.get((level, ones)), shape[1:]
+    if buffer is None or buffer.dtype != dtype or buffer.shape[1:] != tail or len(buffer) < shape[0]:
+        buffer = buffers[level, ones] = (np.ones if ones else np.empty)(shape, dtype)
+    return buffer[: shape[0]]
 
 
 def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffers | None = None) -> Array:
@@ -56,14 +54,18 @@ def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffer
     buffers : memory for the outputs; the next call with it overwrites them
     """
     first, *rest = layout.layers(weights)
-    buffers, samples, dtype = buffers or OutputBuffers(), inputs.shape[1], np.result_type(weights, inputs)
+    buffers = {} if buffers is None else buffers
+    samples, dtype = inputs.shape[1], np.result_type(weights, inputs)
     # The first layer sees the same inputs in every network: one matrix product for the colony.
-    z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=buffers(0, (first[..., 0].size, samples), dtype))
+    out = _reused(buffers, 0, (first[..., 0].size, samples), dtype)
+    z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=out)
     z = z.reshape(len(weights), -1, samples)
     for level, layer in enumerate(rest, 1):
-        entering = buffers(level, (len(weights), layer.shape[2], samples), dtype, ones=True)
+        size = (len(weights), layer.shape[2], samples)
+        entering = _reused(buffers, level, size, dtype, ones=True)
         np.tanh(z, out=entering[:, :-1])
-        z = np.matmul(layer, entering, out=buffers(level, (*layer.shape[:2], samples), dtype))
+        out = _reused(buffers, level, (*layer.shape[:2], samples), dtype)
+        z = np.matmul(layer, entering, out=out)
     return z
 
 
@@ -313,7 +315,7 @@ class Task:
         try:  # each thread uses buffers of its own
             buffers = self._idle_buffers.pop()
         except IndexError:
-            buffers = OutputBuffers()
+            buffers = {}
         errors = forward(self.layout, weights, self.inputs, buffers)
         errors -= self.targets
         losses = self.loss.value(errors)

@@ -14,7 +14,7 @@ import math
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -115,33 +115,34 @@ print(json.dumps([[x.hex() for x in out] for out in outs]))
 """
 
 
-class MachineCode:
-    """A compiled CasADi function that is called with arrays of many points.
+# A CasADi function that is called with arrays and returns those of its outputs.
+ArrayFunction = Callable[..., list[Array]]
 
-    Its first input differs between the points, all others are shared.
+
+def _machine_code(function: ca.Function, library: Path) -> ArrayFunction:
+    """Return a compiled CasADi function that is called with arrays of many points.
+
+    Its first input differs between the points, shape (a, n), all others are shared. Outputs at n
+    points are side by side, shape (rows, columns n) each. Another number of values is a ValueError.
 
     function : CasADi function with the name, inputs and outputs of the compiled one
     library : file of the shared library
     """
+    code = getattr(ctypes.CDLL(str(library)), function.name())
+    inputs = [function.numel_in(k) for k in range(function.n_in())]
+    outputs = [function.size_out(k) for k in range(function.n_out())]
 
-    def __init__(self, function: ca.Function, library: Path) -> None:
-        self._call = getattr(ctypes.CDLL(str(library)), function.name())
-        self._inputs = [function.numel_in(k) for k in range(function.n_in())]
-        self._outputs = [function.size_out(k) for k in range(function.n_out())]
-
-    def __call__(self, points: Array, *shared: Array) -> list[Array]:
-        """Return the outputs at n points side by side, shape (rows, columns n) each.
-
-        points : first input of each point, shape (a, n); shared : the other inputs
-        Raises ValueError for another number of values.
-        """
+    def called(points: Array, *shared: Array) -> list[Array]:
+        """Return the outputs at n points."""
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
-        if [g.size for g in given] != [n * self._inputs[0], *self._inputs[1:]]:
-            raise ValueError(f"inputs have shapes {[g.shape for g in given]}, expected {self._inputs} numbers")
-        results = [np.empty((rows, columns * n), order="F") for rows, columns in self._outputs]
-        self._call(ctypes.c_longlong(n), _pointers(given), _pointers(results))
+        if [g.size for g in given] != [n * inputs[0], *inputs[1:]]:
+            raise ValueError(f"inputs have shapes {[g.shape for g in given]}, expected {inputs}")
+        results = [np.empty((rows, columns * n), order="F") for rows, columns in outputs]
+        code(ctypes.c_longlong(n), _pointers(given), _pointers(results))
         return results
+
+    return called
 
 
 def _pointers(arrays: Sequence[Array]) -> Any:
@@ -155,7 +156,7 @@ def compiler() -> str | None:
     return next(filter(None, map(shutil.which, names)), None)
 
 
-def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
+def compiled(function: ca.Function, *, make: bool = True) -> ArrayFunction | None:
     """Return a compiled SX function, from the cache or newly built; None where it has none.
 
     There is none without a C compiler or a private cache folder, for unsupported operations, where
@@ -182,7 +183,7 @@ def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
         cached.unlink(missing_ok=True)  # its content has changed
     if library is None and make and (code := source(function)) is not None:
         library = _built_library(folder, stem, cc, code, function)
-    return None if library is None else MachineCode(function, library)
+    return None if library is None else _machine_code(function, library)
 
 
 def _library_name(stem: str, library: Path) -> str:
@@ -240,52 +241,48 @@ COMPILATION_POINTS = 200_000
 MAX_CHUNK_POINTS = 1024
 
 
-class Buffered:
-    """A CasADi function of dense inputs and outputs that is called many times with arrays.
+def buffered(f: ca.Function) -> ArrayFunction:
+    """Return a CasADi function of dense inputs and outputs that is called many times with arrays.
 
-    CasADi's work memory is reused in the next call; the returned arrays are new.
+    Its outputs are new arrays of two axes, each in its own shape; CasADi's work memory is reused in
+    the next call. An argument with fewer columns than the input is repeated side by side, as by
+    CasADi. Another number of arguments, or of values of one, is a ValueError.
     """
+    name, idle = f.name(), list[Any]()
+    inputs = [f.size_in(k) for k in range(f.n_in())]
+    outputs = [f.size_out(k) for k in range(f.n_out())]
 
-    def __init__(self, f: ca.Function) -> None:
-        self.name = f.name()
-        self._inputs = [f.size_in(k) for k in range(f.n_in())]
-        self._outputs = [f.size_out(k) for k in range(f.n_out())]
-        self._function, self._idle = f, list[Any]()
-
-    def __call__(self, *arguments: Array) -> list[Array]:
-        """Return the outputs, each of two axes in its own shape, for one argument per input.
-
-        An argument with fewer columns than the input is repeated side by side, as by CasADi.
-
-        Raises ValueError for another number of arguments, or of values of one.
-        """
+    def called(*arguments: Array) -> list[Array]:
+        """Return the outputs for one argument per input."""
         try:  # a buffer serves one call at a time: another thread takes another one
-            buffer, trigger = self._idle.pop()
+            buffer, trigger = idle.pop()
         except IndexError:
-            buffer, trigger = self._function.buffer()
+            buffer, trigger = f.buffer()
         arrays: list[Any] = []
-        for k, (argument, (rows, columns)) in enumerate(zip(arguments, self._inputs, strict=True)):
+        for k, (argument, (rows, columns)) in enumerate(zip(arguments, inputs, strict=True)):
             values = np.asarray(argument, dtype=float)
             values = values.reshape(rows, -1, order="F") if rows * columns else np.zeros((0, 0))
             if values.size and values.shape[1] != columns:
                 values = np.tile(values, columns // values.shape[1])
             if values.size != rows * columns:
-                raise ValueError(f"{self.name}: input {k} has shape {np.shape(argument)}, expected {(rows, columns)}")
+                raise ValueError(f"{name}: input {k} has shape {np.shape(argument)}, expected {(rows, columns)}")
             arrays.append(np.asfortranarray(values))
             if values.size:
                 buffer.set_arg(k, _view(arrays[-1]))
-        results = [np.empty(size, order="F") for size in self._outputs]
+        results = [np.empty(size, order="F") for size in outputs]
         for k, r in enumerate(results):
             if r.size:
                 buffer.set_res(k, _view(r))
         trigger()
-        self._idle.append((buffer, trigger))
+        idle.append((buffer, trigger))
         return results
+
+    return called
 
 
 def call(f: ca.Function, *arguments: Array) -> list[Array]:
-    """Return the outputs of a CasADi function that is called once, as arrays; see `Buffered`."""
-    return Buffered(f)(*arguments)
+    """Return the outputs of a CasADi function that is called once, as arrays; see `buffered`."""
+    return buffered(f)(*arguments)
 
 
 def _view(values: Array) -> Any:
@@ -310,14 +307,14 @@ class MappedFunction:
     def __init__(self, name: str, point: ca.SX, shared: ca.SX, outputs: Sequence[ca.SX]) -> None:
         whole = ca.cse([ca.densify(output) for output in outputs])
         each, symbols, once = ca.extract_parametric(whole, shared, {})
-        self._shared = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
+        self._shared = buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
         outputs_of_each = sum(self._each.nnz_out(k) for k in range(self._each.n_out()))
         # Up to 400 000 numbers at a time are computed: Jacobians then fit the processor's cache.
         self._chunk = min(MAX_CHUNK_POINTS, max(64, 400_000 // max(outputs_of_each, 1)))
-        self._mapped: dict[int, Buffered] = {}
+        self._mapped: dict[int, ArrayFunction] = {}
         self.evaluated = self._tried = 0
-        self._machine_code: MachineCode | None = None
+        self._machine_code: ArrayFunction | None = None
 
     @property
     def is_compiled(self) -> bool:
@@ -350,14 +347,14 @@ class MappedFunction:
                 out[:, columns * start : columns * start + part.shape[1]] = part
         return outputs
 
-    def _over(self, n: int) -> Buffered:
+    def _over(self, n: int) -> ArrayFunction:
         """Return the CasADi function mapped over n points, from the cache if it is there."""
         if n not in self._mapped:
             # A function of n points is cached for each of at most 64 values of n; at the next one
             # the cache is emptied.
             if len(self._mapped) >= 64:
                 self._mapped.clear()
-            self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))
+            self._mapped[n] = buffered(self._each.map("points", "serial", n, [1, 2], []))
         return self._mapped[n]
 
     def compile(self, *, make: bool = True) -> None:

@@ -114,9 +114,10 @@ class RigidPositions(PoseFunctions):
     def __init__(self, robot: Robot, kind: MeasurementKind, chosen: tuple[int, ...], fixed_loads: bool) -> None:
         """Take the chain of a robot; other arguments are as of `PoseFunctions`."""
         self.kind, self.point, self.fixed_loads = kind, False, fixed_loads
-        self.observed, self._n = ("position",), robot.n
+        self.observed, self._n, self._chosen = ("position",), robot.n, chosen
         self.residual, self.value = (partial(self._evaluated, both) for both in (True, False))
         kinds = tuple(joint.kind for joint in robot.joints)
+        self._count = len(robot.parameters)
         self._chain = rigid_chain(kinds, robot.parameters.names, chosen)
 
     def _evaluated(self, derivatives: bool, points: Array, shared: Array) -> list[Array]:
@@ -125,12 +126,12 @@ class RigidPositions(PoseFunctions):
         derivatives : whether the Jacobian is computed; if not, its shape is (0, 3 n)
         points, shared : inputs of n poses and of all, as of `PoseFunctions`, shapes (k, n) and (l,)
         """
-        chain, free = self._chain, len(self._chain.chosen)
-        edges = [free, free + len(chain.names), len(shared) - free]
+        free = len(self._chosen)
+        edges = [free, free + self._count, len(shared) - free]
         x, phi, constants, scale = np.split(shared, edges)
         phi, weight = phi.copy(), points[-1] * points[-2]
-        phi[[*chain.chosen]] += scale * x
-        p, _, J = chain(points[: self._n], phi, constants, scale if derivatives else None, weight)
+        phi[[*self._chosen]] += scale * x
+        p, _, J = self._chain(points[: self._n], phi, constants, scale if derivatives else None, weight)
         return [(p - points[-5:-2]) * weight, J.reshape(len(J), 3 * len(weight))]
 
 

@@ -234,15 +234,9 @@ class _Solver:
         return (self.gradient(v)[1][self._lower] * (factor[0] / self.scale),)
 
 
-class _Solvers(threading.local):
-    """Cached solvers of one thread, by size, maximum iterations, and whether they are watched."""
-
-    def __init__(self) -> None:
-        self.of = lru_cache(maxsize=16)(_Solver)
-
-
-# Cached solvers of the current thread; a solver runs in one thread at a time.
-_solvers = _Solvers()
+# Cached solvers of the current thread, by size, maximum iterations, and whether they are watched; a
+# solver runs in one thread at a time.
+_solvers = threading.local()
 
 
 def minimise(
@@ -269,7 +263,9 @@ def minimise(
     """
     # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB, and is built fast.
     cached = len(lower) <= 100
-    ipopt = (_solvers.of if cached else _Solver)(len(lower), 200, settled is not None)
+    if not hasattr(_solvers, "of"):
+        _solvers.of = lru_cache(maxsize=16)(_Solver)
+    ipopt: _Solver = (_solvers.of if cached else _Solver)(len(lower), 200, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
     try:

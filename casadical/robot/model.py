@@ -11,7 +11,7 @@ of the chain as for its joints, and take a fifth of the operations of automatic 
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -234,7 +234,7 @@ class Structure:
 
 
 def is_rigid(structure: Structure, phi: Array, chosen: Iterable[int] = ()) -> bool:
-    """Return whether a robot is a `RigidChain`: no loops, targets, effects or deflections.
+    """Return whether a robot is a `rigid_chain`: no loops, targets, effects or deflections.
 
     phi : values of its parameters, shape (P,) [SI]
     chosen : indices of parameters that may change; with a compliance among them it is False
@@ -357,44 +357,40 @@ def _tool(arm: Arm, nominal: Symbolic, values: kinematics.Values, conditions: Ma
     return [translate(x, y, z), turn, *turns]
 
 
-class RigidChain:
-    """The chain of an arm without loops, effects and deflections, and with one measured point.
+@lru_cache(maxsize=64)
+def rigid_chain(
+    kinds: tuple[str, ...], names: tuple[str, ...], chosen: tuple[int, ...] = ()
+) -> Callable[..., tuple[Array, Array, Array]]:
+    """Return the function `chain` of an arm without loops, effects, deflections and further targets.
+
+    It is cached, because many robots share it.
 
     kinds : of its joints; names : of all its parameters, in their order
     chosen : indices of the parameters of the Jacobian
     """
+    base, tool = (
+        [(k > 2, k % 3, name) for k, name in enumerate(PLACEMENT_PARAMETERS[which])] for which in ("base", "tool")
+    )
+    # Elementary transforms in parts, of which all but the last two end with a joint's own.
+    parts, after = [], [e for e in base if e[2] in names]
+    for i, kind in enumerate(kinds, 1):
+        row, at = row_elements(kind, i, names)
+        parts.append([*after, *row[: at + 1]])
+        after = row[at + 1 :]
+    parts += [[*after, *tool[:3]], [e for e in tool[3:] if e[2] in names]]
+    index = {name: k for k, name in enumerate(names)}
+    column = {names[k]: j for j, k in enumerate(chosen)}
+    # Of each element: whether it rotates, its axis, and the indices of its parameter and of its
+    # column of the Jacobian, -1 for none.
+    elements = [[(*e[:2], index.get(e[2], -1), column.get(e[2], -1)) for e in part] for part in parts]
+    moving = [(rotates, j) for part in elements[:-1] for rotates, _, _, j in part if j >= 0]
+    order = [j for wanted in (True, False) for rotates, j in moving if rotates is wanted]
+    rotating, movable = sum(rotates for rotates, _ in moving), len(moving)
+    # Places of the columns among those of rotations, then translations, then one of zeros.
+    places = np.array([order.index(j) if j in order else -1 for j in range(len(chosen))], dtype=int)
 
-    def __init__(self, kinds: tuple[str, ...], names: tuple[str, ...], chosen: tuple[int, ...] = ()) -> None:
-        """List the elementary transforms in parts; all but the last two end with a joint's own."""
-        base, tool = (
-            [(k > 2, k % 3, name) for k, name in enumerate(PLACEMENT_PARAMETERS[which])] for which in ("base", "tool")
-        )
-        parts, after = [], [e for e in base if e[2] in names]
-        for i, kind in enumerate(kinds, 1):
-            row, at = row_elements(kind, i, names)
-            parts.append([*after, *row[: at + 1]])
-            after = row[at + 1 :]
-        parts += [[*after, *tool[:3]], [e for e in tool[3:] if e[2] in names]]
-        index = {name: k for k, name in enumerate(names)}
-        column = {names[k]: j for j, k in enumerate(chosen)}
-        self.names, self.chosen = names, chosen
-        # Of each element: whether it rotates, its axis, and the indices of its parameter and of its
-        # column of the Jacobian, -1 for none.
-        self._parts = [[(*e[:2], index.get(e[2], -1), column.get(e[2], -1)) for e in part] for part in parts]
-        moving = [(rotates, j) for part in self._parts[:-1] for rotates, _, _, j in part if j >= 0]
-        order = [j for wanted in (True, False) for rotates, j in moving if rotates is wanted]
-        self._rotations, self._moving = sum(rotates for rotates, _ in moving), len(moving)
-        # Places of the columns among those of rotations, then translations, then one of zeros.
-        places = [order.index(j) if j in order else -1 for j in range(len(chosen))]
-        self._places = np.array(places, dtype=int)
-
-    def __call__(
-        self,
-        q: Array,
-        phi: Array,
-        constants: Array,
-        scale: Array | None = None,
-        weight: Array | float = 1.0,
+    def chain(
+        q: Array, phi: Array, constants: Array, scale: Array | None = None, weight: Array | float = 1.0
     ) -> tuple[Array, Array, Array]:
         """Return positions (3, n) [m], axes of the tool frame (3, 3, n), and the Jacobian.
 
@@ -408,15 +404,15 @@ class RigidChain:
         """
         n, values, nominal = q.shape[1], phi.tolist(), constants.tolist()
         factors: list[float] = [] if scale is None else scale.tolist()
-        m = self._rotations if factors else 0
-        axes, points = np.empty((self._moving if factors else 0, 3, n)), np.empty((m, 3, n))
-        *parts, turned = self._parts
-        angles = q + np.array([[values[part[-1][2]]] for part in parts[:-1]])
+        m = rotating if factors else 0
+        axes, points = np.empty((movable if factors else 0, 3, n)), np.empty((m, 3, n))
+        *moving_parts, turned = elements
+        angles = q + np.array([[values[part[-1][2]]] for part in moving_parts[:-1]])
         cosines, sines = np.cos(angles), np.sin(angles)
         F, p, rotations, shifts = np.eye(3)[:, :, None], np.zeros((3, 1)), 0, m
         # Axes and origin relative to F and p, to which the elements since the last joint lead.
         R, t = [nominal[k : k + 3] for k in (0, 3, 6)], nominal[9:12]
-        for joint, part in enumerate(parts):
+        for joint, part in enumerate(moving_parts):
             about, through, along = list[list[float]](), list[list[float]](), list[list[float]]()
             for place, (rotates, axis, k, column) in enumerate(part, 1):
                 x, y, z = R[axis]
@@ -458,12 +454,10 @@ class RigidChain:
         for k, (a, b, c, d) in enumerate(((y, w, z, v), (z, u, x, w), (x, v, y, u))):
             np.subtract(a * b, c * d, out=moved[:m, :, k])
         moved[m:-1] = axes[m:].transpose(0, 2, 1)
-        J = moved[self._places] if factors else moved[:0]
+        J = moved[places] if factors else moved[:0]
         return p, (np.array(R) @ F.reshape(3, -1)).reshape(3, 3, -1), J
 
-
-# A function of the arguments of `RigidChain` that returns one, cached: many robots share it.
-rigid_chain = lru_cache(maxsize=64)(RigidChain)
+    return chain
 
 
 def _turned(R: list[list[float]], axis: int, angle: float) -> list[list[float]]:
