@@ -1,7 +1,6 @@
 """All faults of all files that a command was given: after the first error the others are read."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -36,7 +35,7 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     later : whether rows with a cell that is no number are removed from given tables, and a folder's
         own tables are checked even if tables were given
     """
-    collected, given = _Collected([error]), list(paths)
+    errors, given = [error], list(paths)
     # Files with these endings are tables; all others are robot files or problem folders.
     table_suffixes = (".csv", ".txt", ".tsv", ".xlsx", ".parquet", ".gz")
     tables = [path for path in given if path.suffix.lower() in table_suffixes and not is_log(path)]
@@ -45,19 +44,19 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     source = next((path for path in given if path.suffix.lower() not in table_suffixes), Path())
     for path in given:
         if (path / "problem.toml").is_file():
-            file = collected.tried(_problem_file, path, collected) or ProblemFile(casadical=1, title="")
+            file = _tried(errors, _problem_file, path, errors) or ProblemFile(casadical=1, title="")
             place, urdf = path / file.robot, file.urdf or UrdfTable()
-            own = _robot(collected, place, urdf)
+            own = _robot(errors, place, urdf)
             for data in () if tables and not later else file.measurements:  # given ones replace them
-                collected.tried(_check_table, path / data.file, data, *own, False)
+                _tried(errors, _check_table, path / data.file, data, *own, False)
         elif path.suffix.lower() not in table_suffixes and path.is_file() and _is_robot(path):
-            own = _robot(collected, path, UrdfTable())
+            own = _robot(errors, path, UrdfTable())
         else:
             continue
         robot, joints = (robot, joints) if joints else own
     for path in tables:
-        collected.tried(_check_given_table, source, path, robot, joints, later)
-    return FaultsError.joined(collected.errors)
+        _tried(errors, _check_given_table, source, path, robot, joints, later)
+    return FaultsError.joined(errors)
 
 
 def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:
@@ -74,32 +73,28 @@ def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:
     return given
 
 
-@dataclass
-class _Collected:
-    """Errors that are collected from steps instead of raised."""
+def _tried(
+    errors: list[InputError], step: Callable[Given, Read], *given: Given.args, **named: Given.kwargs
+) -> Read | None:
+    """Return the result of `step(*given, **named)`; None if it raised an InputError.
 
-    errors: list[InputError] = field(default_factory=list)
-
-    def tried(self, step: Callable[Given, Read], *given: Given.args, **named: Given.kwargs) -> Read | None:
-        """Return the result of `step(*given, **named)`; None if it raised an InputError.
-
-        The error is collected.
-        """
-        try:
-            return step(*given, **named)
-        except InputError as error:
-            self.errors.append(error)
-            return None
+    errors : list to which the error is added
+    """
+    try:
+        return step(*given, **named)
+    except InputError as error:
+        errors.append(error)
+        return None
 
 
-def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
+def _problem_file(folder: Path, errors: list[InputError]) -> ProblemFile:
     """Return the contents of a folder's problem.toml without its invalid keys.
 
-    The faults of these keys are collected in `found`.
+    The faults of these keys are added to `errors`.
     """
     path = folder / "problem.toml"
     data = load_toml(path)
-    found.tried(check, ProblemFile, data, str(path))
+    _tried(errors, check, ProblemFile, data, str(path))
     tables = data.get("measurements")
     good = {key: value for key, value in data.items() if _holds({key: value})}
     if isinstance(tables, list) and "measurements" not in good:
@@ -111,7 +106,7 @@ def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
 
 def _holds(some: Mapping[str, Any]) -> bool:
     """Return whether these keys of a problem.toml are valid."""
-    return _Collected().tried(check, ProblemFile, {"casadical": 1, "title": "", **some}, "") is not None
+    return _tried([], check, ProblemFile, {"casadical": 1, "title": "", **some}, "") is not None
 
 
 def _is_robot(path: Path) -> bool:
@@ -124,12 +119,12 @@ def _is_robot(path: Path) -> bool:
         return True
 
 
-def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None, list[str]]:
+def _robot(errors: list[InputError], path: Path, urdf: UrdfTable) -> tuple[Robot | None, list[str]]:
     """Return a robot and the kinds of its joints; None and the declared kinds for an unusable file.
 
-    found : collects the file's errors; urdf : [urdf] of problem.toml
+    errors : list to which the file's errors are added; urdf : [urdf] of problem.toml
     """
-    robot = found.tried(robot_of_file, path, urdf)
+    robot = _tried(errors, robot_of_file, path, urdf)
     if robot is not None:
         return robot, [j.kind for j in robot.joints]
     try:

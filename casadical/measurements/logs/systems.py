@@ -5,7 +5,7 @@ Streams with their own time stamps are merged into one log.
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,27 +67,16 @@ def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
 _Reader = Callable[[str, Any], Iterator[tuple[tuple[str, ...], str, Any]]]
 
 
-@dataclass
-class _Stream:
-    """Messages of one ROS topic that name the same joints.
-
-    topic : its name; names : of the joints
-    stamps, received : time stamp and time of receipt of each message [ns]
-    rows : channel -> values of the joints in each message
-    """
-
-    topic: str
-    names: tuple[str, ...]
-    stamps: list[int]
-    received: list[int]
-    rows: dict[str, list[Any]]
+# Messages of a bag by topic and the joints or frames that they name: of each message the time stamp
+# and the time of receipt [ns] ("stamp" and "received"), and the values of each channel.
+_Streams = dict[tuple[str, ...], dict[str, list[Any]]]
 
 
 def bag(path: Path) -> Logged:
     """Return the joint states and commands of a ROS bag or an MCAP file. Raises InputError."""
     readers = {"JointState": _states, "JointTrajectoryControllerState": _controller}
     streams, topics = _streams(path, readers)
-    logs = [_of_stream(stream, path) for stream in streams.values()]
+    logs = [_of_stream(key, stream, path) for key, stream in streams.items()]
     if not any("position" in log.channels for log in logs):
         raise InputError(
             f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record "
@@ -112,23 +101,25 @@ def stations_of_bag(path: Path) -> RawTable:
 
     posed = dict.fromkeys(("TransformStamped", "PoseStamped", "TFMessage"), _pose)
     streams, topics = _streams(path, {"JointState": _states, **posed})
-    poses = {key: stream for key, stream in streams.items() if "pose" in stream.rows}
+    poses = {key: stream for key, stream in streams.items() if "pose" in stream}
     # Words in the name of a frame or topic mark it as that of a target.
     target_name = re.compile("board|marker|aruco|tag|checker|chess|target|object")
     boards = {k: v for k, v in poses.items() if target_name.search(" ".join(k))}
     # The frames of a robot's links are on /tf, too.
     poses = boards or {k: v for k, v in poses.items() if not k[0].startswith("/tf")}
-    states = max((s for s in streams.values() if "position" in s.rows), key=lambda s: len(s.stamps), default=None)
-    if states is None or len(poses) != 1:
+    logged = [key for key, stream in streams.items() if "position" in stream]
+    if not logged or len(poses) != 1:
         found = "; ".join(" ".join(key) for key in poses) or ", ".join(topics)
         raise InputError(
             f"{path}: needs joint states and one stream of poses of a target (geometry_msgs PoseStamped, "
             f"TransformStamped, or a frame on /tf named for a board, marker or tag); there are {found}"
         )
     ((key, seen),) = poses.items()
-    order = np.argsort(states.stamps)
-    time, q = 1e-9 * np.array(states.stamps)[order], np.array(states.rows["position"], dtype=float)[order]
-    stamps, images = 1e-9 * np.array(seen.stamps), np.array(seen.rows["pose"], dtype=float)
+    topic, *joints = max(logged, key=lambda key: len(streams[key]["stamp"]))
+    states = streams[topic, *joints]
+    order = np.argsort(states["stamp"])
+    time, q = 1e-9 * np.array(states["stamp"])[order], np.array(states["position"], dtype=float)[order]
+    stamps, images = 1e-9 * np.array(seen["stamp"]), np.array(seen["pose"], dtype=float)
     # A joint rests that moves by less than this [rad or m] from a quarter of a second before an image until after it.
     at = [[np.interp(stamps + late, time, column) for column in q.T] for late in (-0.25, 0.0, 0.25)]
     still = (np.ptp(at, axis=0).max(axis=0) < 2e-3) & (stamps > time[0]) & (stamps < time[-1])
@@ -144,19 +135,19 @@ def stations_of_bag(path: Path) -> RawTable:
         for g in groups
     ]
     # Universal Robots' drivers send joints in the order of the alphabet; others number them.
-    numbers = [UR_JOINTS.index(n) + 1 if n in UR_JOINTS else int(*re.findall(r"\d+$", n)) for n in states.names]
+    numbers = [UR_JOINTS.index(n) + 1 if n in UR_JOINTS else int(*re.findall(r"\d+$", n)) for n in joints]
     valid = sorted(numbers) == list(range(1, len(numbers) + 1))
-    names = [f"q{k}_rad" if valid else f"{name} [rad]" for k, name in zip(numbers, states.names, strict=True)]
+    names = [f"q{k}_rad" if valid else f"{name} [rad]" for k, name in zip(numbers, joints, strict=True)]
     table = pd.DataFrame(rows, columns=[*names, "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"])
     table = table[[f"q{k + 1}_rad" for k in range(len(names))] + list(table.columns[len(names) :])] if valid else table
     said = (
-        f"{path.name}: {len(groups)} stations at which the joints of {states.topic} rested, with {int(still.sum())} "
+        f"{path.name}: {len(groups)} stations at which the joints of {topic} rested, with {int(still.sum())} "
         f"poses of {' '.join(key)}, their mean at each."
     )
     return RawTable(path, tuple(map(str, table)), (), table, np.arange(len(table)) + 1, Form("bag"), said=(said,))
 
 
-def _streams(path: Path, readers: Mapping[str, _Reader]) -> tuple[dict[tuple[str, ...], _Stream], list[str]]:
+def _streams(path: Path, readers: Mapping[str, _Reader]) -> tuple[_Streams, list[str]]:
     """Return a bag's streams by topic and what they name, and all topics with their types."""
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
@@ -165,7 +156,7 @@ def _streams(path: Path, readers: Mapping[str, _Reader]) -> tuple[dict[tuple[str
             raise InputError(
                 f"{file}: has {size} bytes; at most {MAX_TABLE_BYTES} are read: record the joints' topics alone"
             )
-    streams: dict[tuple[str, ...], _Stream] = {}
+    streams: _Streams = {}
     size = 0
     with foreign(f"{path}: not a readable bag", "record it again, or write its joint states to a CSV"):
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
@@ -232,41 +223,44 @@ UR_JOINTS = (
 )
 
 
-def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, read: _Reader, message: Any, received: int) -> None:
+def _keep(streams: _Streams, topic: str, read: _Reader, message: Any, received: int) -> None:
     """Append a message's stamp and values to the stream of its topic and joints or frames.
 
     read : reader of its type; received : time of receipt [ns]
     """
     stamp = message.header.stamp
     for k, (names, channel, values) in enumerate(read(topic, message)):
-        stream = streams.setdefault((topic, *names), _Stream(topic, names, [], [], {}))
+        stream = streams.setdefault((topic, *names), {"stamp": [], "received": []})
         if not k:
-            stream.stamps.append(int(stamp.sec) * 10**9 + int(stamp.nanosec))
-            stream.received.append(received)
+            stream["stamp"].append(int(stamp.sec) * 10**9 + int(stamp.nanosec))
+            stream["received"].append(received)
         if len(values) == len(names) or channel == "pose":
-            stream.rows.setdefault(channel, []).append(values)
+            stream.setdefault(channel, []).append(values)
 
 
-def _of_stream(stream: _Stream, path: Path) -> Logged:
-    """Return a ROS topic's messages as a log, timed by their stamps, else by their receipt [s]."""
-    stamps, received = np.array(stream.stamps), np.array(stream.received)
+def _of_stream(key: tuple[str, ...], stream: dict[str, list[Any]], path: Path) -> Logged:
+    """Return a ROS topic's messages as a log, timed by their stamps, else by their receipt [s].
+
+    key : the topic and its joints; stream : see `_Streams`
+    """
+    (topic, *names), stamps, received = key, np.array(stream["stamp"]), np.array(stream["received"])
     notes = []
     if stamped := bool((stamps > 0).all()):
         late = (received - stamps) * 1e-6
         if abs(np.median(late)) < 1e5:
             low, high = np.quantile(late, (0.05, 0.95))
             span = f"{np.median(late):.1f} ms after the stamp ({low:.1f} to {high:.1f} ms)"
-            notes.append(f"{stream.topic}: recorded {span}; the stamps are taken")
+            notes.append(f"{topic}: recorded {span}; the stamps are taken")
     else:
-        notes.append(f"{stream.topic}: without stamps; times are those of recording, with its delay and jitter")
+        notes.append(f"{topic}: without stamps; times are those of recording, with its delay and jitter")
     channels = {
-        name: dict(zip(stream.names, np.array(rows, dtype=float).T, strict=True))
-        for name, rows in stream.rows.items()
-        if len(rows) == len(stamps) and np.any(np.asarray(rows))
+        name: dict(zip(names, np.array(rows, dtype=float).T, strict=True))
+        for name, rows in stream.items()
+        if name not in ("stamp", "received") and len(rows) == len(stamps) and np.any(np.asarray(rows))
     }
     if "torque" in channels:
         notes.append(
-            f"{stream.topic}: effort is read as torque [N m]; some drivers write currents there (Universal Robots' "
+            f"{topic}: effort is read as torque [N m]; some drivers write currents there (Universal Robots' "
             'among them): then write log_effort = "current" into the table [drive]'
         )
     units = {(name, joint): "rad" for name, columns in channels.items() for joint in columns}

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from casadical import InputError, Joint, Robot
 from casadical.core.drive import Drive
 from casadical.measurements.logs.reading import is_log, read_log
-from casadical.measurements.logs.systems import _of_stream, _Stream
+from casadical.measurements.logs.systems import _of_stream
 
 T = np.arange(200) / 50
 Q = np.column_stack([0.5 * np.sin(3 * T), 1.0 + 0.3 * np.cos(2 * T)])
@@ -230,9 +230,8 @@ def test_a_bag_of_more_bytes_than_are_read_is_refused_before_it_is_opened(tmp_pa
 
 
 def test_messages_of_a_topic_are_counted_from_one() -> None:
-    stream = _Stream(
-        "/joint_states", ("a", "b"), [10**9, 2 * 10**9], [10**9, 2 * 10**9], {"position": [[0, 1], [2, 3]]}
-    )
-    log = _of_stream(stream, Path("a.mcap"))
+    times = [10**9, 2 * 10**9]
+    stream = {"stamp": times, "received": times, "position": [[0, 1], [2, 3]]}
+    log = _of_stream(("/joint_states", "a", "b"), stream, Path("a.mcap"))
     assert (log.row.tolist(), log.time.tolist()) == ([1, 2], [1.0, 2.0])
     assert {name: values.tolist() for name, values in log.channels["position"].items()} == {"a": [0, 2], "b": [1, 3]}
