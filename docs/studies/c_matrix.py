@@ -18,7 +18,7 @@ import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
 from casadical.export import write_c  # noqa: E402
-from casadical.export.c.kernel import compilers  # noqa: E402
+from casadical.export.c.kernel import compilers, version_of  # noqa: E402
 from casadical.export.c.reference import correct, network  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 
@@ -68,7 +68,7 @@ def nothing(board, real):
 
 def main():
     print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/c/export_models.py")
-    print(*(f"  {compiler.version}" for compiler in compilers()), sep="\n")
+    print(*(f"  {version_of(compiler)}" for compiler in compilers()), sep="\n")
     print(f"\nthe same bits on other processors, {VECTORS} vectors, one hash (status and outputs)")
     folders = {}
     for kind, product, call, outputs, compute in CALLS:

@@ -21,7 +21,7 @@ from casadical.export.c import coefficients
 from casadical.export.c.chord import pose_size, prepared_size, residual_size
 from casadical.export.c.coefficients import COEFFICIENTS, NUMPY_TYPE, Real, literal, turn_parts
 from casadical.export.c.products import Command, Product
-from casadical.export.c.reference import StepState, correct, forward, network, step
+from casadical.export.c.reference import correct, forward, network, step
 from casadical.export.c.tape import Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
@@ -393,11 +393,13 @@ def _self_test(program: TapeProgram, values: dict[str, str]) -> str:
         checks.append(f"    passed = passed & {program.name}_test_{name}();")
         bad_checks.append(f"        passed = passed & {program.name}_test_bad_{name}(q);\n")
     if program.command is not None:
-        state, cycles, on_cycles = StepState.start(program), 8, 6
-        given = [step(program, state, q[0], k < on_cycles) for k in range(cycles)]
+        dq, gain, cycles, on_cycles, given = np.zeros(program.n), 0.0, 8, 6, []
+        for k in range(cycles):
+            dq, gain, step_status = step(program, dq, gain, q[0], k < on_cycles)
+            given.append((dq, step_status))
         mine = {"cycles": str(cycles), "on_cycles": str(on_cycles)}
-        mine["expected_step"] = _rows(np.array([dq for dq, _ in given]), program.real, 8)
-        mine["statuses_step"] = ", ".join(f"{int(status)}U" for _, status in given)
+        mine["expected_step"] = _rows(np.array([row for row, _ in given]), program.real, 8)
+        mine["statuses_step"] = ", ".join(f"{int(s)}U" for _, s in given)
         parts.append(filled(template("self_test_step.c"), values | mine))
         checks.append(f"    passed = passed & {program.name}_test_step();")
     more = {"functions": "".join(parts), "checks": "\n".join(checks), "bad_checks": "".join(bad_checks)}

@@ -5,7 +5,6 @@ import hashlib
 import shutil
 import tempfile
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partialmethod
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -24,27 +23,16 @@ from casadical.export.c.coefficients import NUMPY_TYPE, Real
 WARNING_FLAGS = ("-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 
 
-@dataclass(frozen=True)
-class Compiler:
-    """A C compiler: its command and the first line of its version text."""
-
-    command: str
-    version: str
+def compilers() -> list[str]:
+    """Return the commands gcc and clang where installed, or else cc; none without a C compiler."""
+    return [*filter(version_of, ("gcc", "clang"))] or [*filter(version_of, ("cc",))]
 
 
-def compilers() -> list[Compiler]:
-    """Return gcc and clang where installed, or else cc; none on a machine without a C compiler."""
-    installed = [Compiler(name, version) for name in ("gcc", "clang") if (version := _version(name))]
-    if not installed and (version := _version("cc")):
-        installed = [Compiler("cc", version)]
-    return installed
-
-
-def _version(command: str) -> str:
-    """Return the first line of a compiler's `--version`; "" where the command fails."""
-    if shutil.which(command) is None:
+def version_of(compiler: str) -> str:
+    """Return the first line of a compiler's `--version`; "" where its command fails."""
+    if shutil.which(compiler) is None:
         return ""
-    run = run_within([command, "--version"], TRIAL_SECONDS)
+    run = run_within([compiler, "--version"], TRIAL_SECONDS)
     return run.stdout.splitlines()[0] if run and run.returncode == 0 and run.stdout else ""
 
 
@@ -176,18 +164,18 @@ def _pointer(array: Array) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
+def build(shape: Shape, sources: list[Path], folder: Path, compiler: str, flags: tuple[str, ...] = ()) -> Kernel:
     """Compile an export's sources and the loops over rows into a new shared library, and load it.
 
     The library is loaded in a separate process first.
 
     sources : C files of the export; folder : folder of the library
-    flags : additional flags of the compiler
+    compiler : its command; flags : additional flags of it
     Raises CasadicalError: the compiler reports an error or, by its flags, a warning (its output is
     in the message), does not end, or its library cannot be loaded.
     """
     how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
-    library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
+    library = folder / f"{shape.name}_{Path(compiler).name}_{how}.so"
     wrapper = library.with_suffix(".c")  # one per compiler, as compilers run concurrently
     values = {"name": shape.name, "n": str(shape.joints)}
     rows = [f'#include "{shape.name}.h"\n']  # functions that call the exported ones for each row
@@ -198,14 +186,14 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
     wrapper.write_text("".join(rows), encoding="utf-8")
     usual = ["-std=c99", "-fPIC", "-shared", "-O2", f"-I{sources[0].parent}"]
     files = map(str, (*sources, wrapper))
-    run = run_within([compiler.command, *usual, *flags, *files, "-o", str(library)], COMPILE_SECONDS)
+    run = run_within([compiler, *usual, *flags, *files, "-o", str(library)], COMPILE_SECONDS)
     if run is None:
-        raise CasadicalError(f"{compiler.version} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
+        raise CasadicalError(f"{version_of(compiler)} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
     if run.returncode != 0:
-        raise CasadicalError(f"{compiler.version} does not compile {sources[0].name}:\n{run.stderr[:2000]}")
+        raise CasadicalError(f"{version_of(compiler)} does not compile {sources[0].name}:\n{run.stderr[:2000]}")
     if tried("import ctypes, sys; ctypes.CDLL(sys.argv[1])", str(library)) is None:
         raise CasadicalError(
-            f"{compiler.version} made of {sources[0].name} what cannot be loaded; use another compiler"
+            f"{version_of(compiler)} made of {sources[0].name} what cannot be loaded; use another compiler"
         )
     return Kernel(shape, library)
 
@@ -255,7 +243,7 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
         sources = [Path(temporary) / name for name in list(contents)[1:]]
         kernel = build(shape, sources, Path(temporary), available[0])
         if kernel.self_test() != 0:
-            raise CasadicalError(f"{shape.name} fails its self-test when compiled with {available[0].version}")
+            raise CasadicalError(f"{shape.name} fails its self-test when compiled with {version_of(available[0])}")
     return kernel
 
 

@@ -5,7 +5,6 @@ rounds; nothing here calls NumPy's own sin, exp or sqrt.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -338,31 +337,14 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
     return dq, np.where(fine, status, Status.NOT_FINITE)
 
 
-@dataclass
-class StepState:
-    """State of the exported step function between two controller cycles.
+def step(program: TapeProgram, last: Array, gain: Any, q: Array, enable: bool) -> tuple[Array, Any, Status]:
+    """Return the correction of one controller cycle, shape (n,) [rad or m], its gain and status.
 
-    dq : last correction, shape (n,) [rad or m]
-    gain : factor of the correction while it is switched on or off, 0 to 1
-    """
+    It ramps in or out and follows `correct` within the limits per cycle (RATE_LIMITED). Values of
+    the last cycle that are out of bounds are reset first (NOT_FINITE).
 
-    dq: Array
-    gain: Any
-
-    @staticmethod
-    def start(program: TapeProgram) -> "StepState":
-        """Return the state without a correction, switched off."""
-        T = NUMPY_TYPE[program.real]
-        return StepState(np.zeros(program.n, T), T(0))
-
-
-def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
-    """Return the correction of one controller cycle, shape (n,) [rad or m], and its status.
-
-    It ramps in or out and follows `correct` within the limits per cycle (RATE_LIMITED). A state
-    that is out of bounds is reset first (NOT_FINITE).
-
-    state : state of the last cycle, which is changed in place
+    last, gain : correction of the last cycle, shape (n,) [rad or m], and its gain, a factor from 0
+        (off) to 1 (on); both zero before the first cycle
     q : commanded joints, shape (n,) [rad or m]; enable : whether the correction is on
     """
     assert program.command is not None
@@ -370,12 +352,12 @@ def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tupl
     delta, change_limit, ramp = T(numbers["delta"]), T(numbers["change"]), T(numbers["ramp"])
     want, statuses = correct(program, q[None, :])
     status = Status(int(statuses[0]))
-    if not (np.isfinite(state.dq).all() and (abs(state.dq) <= delta).all() and T(0) <= state.gain <= T(1)):
-        state.dq, state.gain, status = np.zeros(program.n, T), T(0), Status.NOT_FINITE
-    state.gain = min(max(state.gain + (ramp if enable else -ramp), T(0)), T(1))
-    change = state.gain * want[0] - state.dq
+    last, gain = np.asarray(last, T), T(gain)
+    if not (np.isfinite(last).all() and (abs(last) <= delta).all() and T(0) <= gain <= T(1)):
+        last, gain, status = np.zeros(program.n, T), T(0), Status.NOT_FINITE
+    gain = min(max(gain + (ramp if enable else -ramp), T(0)), T(1))
+    change = gain * want[0] - last
     if (abs(change) > change_limit).any():
         status = max(status, Status.RATE_LIMITED)
-    moved = state.dq + np.clip(change, -change_limit, change_limit)
-    state.dq = np.clip(moved, -delta, delta)
-    return state.dq.copy(), status
+    moved = last + np.clip(change, -change_limit, change_limit)
+    return np.clip(moved, -delta, delta), gain, status

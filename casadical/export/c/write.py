@@ -25,7 +25,7 @@ from casadical.core.reporting.plain import written as named
 from casadical.core.reporting.result import Result
 from casadical.export.c.c_source import FILES_SCHEMA, c_files, comparison_inputs, functions, inside
 from casadical.export.c.coefficients import Real
-from casadical.export.c.kernel import WARNING_FLAGS, Compiler, Shape, build, compilers, remember
+from casadical.export.c.kernel import WARNING_FLAGS, Shape, build, compilers, remember, version_of
 from casadical.export.c.products import Command, Product, mapped
 from casadical.export.c.reference import Status
 from casadical.export.c.structured_text import structured_text
@@ -68,14 +68,12 @@ def shape_of(program: TapeProgram) -> Shape:
     return Shape(name=program.name, real=program.real, joints=program.n, outputs=sizes, units=units)
 
 
-def compared(
-    program: TapeProgram, files: Mapping[str, bytes], installed: list[Compiler], count: int
-) -> list[Comparison]:
+def compared(program: TapeProgram, files: Mapping[str, bytes], installed: list[str], count: int) -> list[Comparison]:
     """Return comparisons of the compiled files with the reference, one per function and compiler.
 
     The self-test counts as a function with one vector. There are none without a compiler.
 
-    files : contents by file name; installed : compilers; count : number of vectors of joints
+    files : contents by file name; installed : commands of compilers; count : number of vectors of joints
     Raises CasadicalError: a file does not compile without warnings, or cannot be loaded.
     """
     if not installed:
@@ -92,7 +90,7 @@ def compared(
         # The compilers run in other processes meanwhile.
         expected = {key: compute(program, q) for key, compute in functions(program).items()}
         for compiler, built in zip(installed, kernels, strict=True):
-            kernel, version = built.result(), compiler.version
+            kernel, version = built.result(), version_of(compiler)
             failed = int(kernel.self_test() != Status.OK)
             results.append(Comparison("self_test", version, 1, 1, failed))
             for key, (out, status) in expected.items():

@@ -162,6 +162,8 @@ class Corrector:
     fallback : corrector of the position alone, for targets whose pose cannot be corrected; None:
         these targets remain unchanged
     units : "rad" or "m" of each joint's reading; empty: all rad
+    nominal, real : CasADi functions q[n] -> (p[3] [m], R[3x3]) of the tool's pose in the robot's
+        own base frame, by the nominal and the calibrated robot; None: not known
     """
 
     joints: int
@@ -169,6 +171,8 @@ class Corrector:
     position: Callable[[Array], Array]
     fallback: "Corrector | None" = None
     units: tuple[str, ...] = ()
+    nominal: ca.Function | None = None
+    real: ca.Function | None = None
 
 
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:

@@ -217,7 +217,7 @@ class Compiled:
         source, library = folder / f"{block}_{self.real}.c", folder / f"{block}_{self.real}.so"
         source.write_text(in_c(text) + more)
         flags = ["-std=c99", "-O1", "-ffp-contract=off", "-fPIC", "-shared"]
-        subprocess.run([compiler.command, *flags, str(source), "-o", str(library)], check=True)
+        subprocess.run([compiler, *flags, str(source), "-o", str(library)], check=True)
         self.library, self.outputs = ctypes.CDLL(str(library)), outputs
 
     def rows(self, q, enable=None):

@@ -94,9 +94,9 @@ def test_nothing_is_overwritten_or_deleted_unless_told_to(tmp_path, network, mon
 def test_a_difference_stops_the_export(tmp_path, network, compiler, monkeypatch):
     """A compiler that computes otherwise: a sign in a polynomial."""
     (tmp_path / "bin").mkdir()
-    wrong = tmp_path / "bin" / compiler.command
+    wrong = tmp_path / "bin" / compiler
     change = "for file; do case $file in *arm.c) sed -i '0,/+ (z [*] /s//- (z * /' \"$file\";; esac; done"
-    wrong.write_text(f'#!/bin/sh\n{change}\nexec {shutil.which(compiler.command)} "$@"\n')
+    wrong.write_text(f'#!/bin/sh\n{change}\nexec {shutil.which(compiler)} "$@"\n')
     wrong.chmod(0o755)
     monkeypatch.setenv("PATH", str(wrong.parent), prepend=":")
     with pytest.raises(CasadicalError, match="nothing was written"):

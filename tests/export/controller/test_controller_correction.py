@@ -253,12 +253,12 @@ def test_a_measured_tool_centre_is_taken_in_a_program() -> None:
     held[:3, 3] += (0.0008, -0.0005, 0.0006)
     q = poses(robot, 30)
     cell = Cell(Sources(robot, nominal_path("ur10"), tool="own"), steps=3)
-    dq, status = cell.with_tool(held).corrector.correct(q)
+    dq, status = cell.with_tool(held).correct(q)
     fine = status == 0
     nominal = rigid("ur10")
     T = np.array(nominal.tool.T)
     T[:3, 3] = held[:3, 3]
     wanted = positions(replace(nominal, tool=replace(nominal.tool, T=T)), q)
     assert rigid_motion(wanted[fine], positions(robot, q + dq)[fine])[2].max() < 20e-6
-    shared = Cell(Sources(robot, nominal_path("ur10")), steps=3).with_tool(held).corrector
+    shared = Cell(Sources(robot, nominal_path("ur10")), steps=3).with_tool(held)
     assert rigid_motion(wanted[fine], positions(robot, q + shared.correct(q)[0])[fine])[2].mean() > 5e-4

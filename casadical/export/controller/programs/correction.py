@@ -31,26 +31,6 @@ from casadical.export.controller.programs.target import Number, Target
 
 
 @dataclass(frozen=True, eq=False)
-class ToolModels:
-    """Correction and robot models for one tool.
-
-    corrector : corrector of joint targets
-    nominal, real : CasADi functions q[n] -> (p[3] [m], R[3x3]) of the tool's pose in the robot's
-        own base frame, by the nominal and the calibrated robot; None for an export folder
-    """
-
-    corrector: Corrector
-    nominal: ca.Function | None = None
-    real: ca.Function | None = None
-
-    @cached_property
-    def newton(self) -> Newton:
-        """Return Newton's method for the nominal robot's pose with this tool."""
-        assert self.nominal is not None
-        return Newton(self.nominal)
-
-
-@dataclass(frozen=True, eq=False)
 class Cell:
     """Robots for which a program is corrected, and the frames that the program does not contain.
 
@@ -62,7 +42,7 @@ class Cell:
     leave_unreached : whether poses that the nominal robot does not reach remain unchanged;
         otherwise the program is refused
     folder : corrector of an export folder, in place of robot files; its tool is that of the export
-    _made : cache of the models of each tool
+    _made : cache of the correctors of each tool
     """
 
     sources: Sources | None
@@ -74,7 +54,7 @@ class Cell:
     external_still: bool = False
     leave_unreached: bool = False
     folder: Corrector | None = None
-    _made: dict[bytes, ToolModels] = field(default_factory=dict, repr=False)
+    _made: dict[bytes, Corrector] = field(default_factory=dict, repr=False)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -90,14 +70,14 @@ class Cell:
         assert self.sources is not None
         return Postures(replace(own_robots(self.sources)[1], tool=Placement(self.flange)), self.root)
 
-    def with_tool(self, tool: Array | None) -> ToolModels:
-        """Return correction and models for a tool.
+    def with_tool(self, tool: Array | None) -> Corrector:
+        """Return the corrector for a tool.
 
         tool : pose of the tool in the controller's flange frame, shape (4, 4) [m]; None: the robot
             file's tool. An export folder has its own tool, whatever this one is
         """
         if self.folder:
-            return ToolModels(self.folder)
+            return self.folder
         assert self.sources is not None
         key = b"" if tool is None else tool.tobytes()
         if key in self._made:
@@ -113,21 +93,21 @@ class Cell:
                 nominal=replace(nominal, tool=replace(nominal.tool, T=tool_frame), knowledge=None),
                 tool="own",
             )
-        self._made[key] = self._tool_models(files)
+        self._made[key] = self._corrector(files)
         return self._made[key]
 
-    def _tool_models(self, sources: Sources) -> ToolModels:
-        """Return the correction, and functions of the tool poses of both robots, for one tool."""
+    def _corrector(self, sources: Sources) -> Corrector:
+        """Return the corrector, with functions of the tool poses of both robots, for one tool."""
         plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
         if self.orientation:
             pose_command = command_of(sources, self.steps, orientation=True)
             corrector = model_corrector(pose_command, corrector)
         real, nominal, turn = own_robots(sources)
-        return ToolModels(
+        return replace(
             corrector,
-            tool_function(nominal, "nominal", True),
-            tool_function(real, "calibrated", True, turn, plain.network),
+            nominal=tool_function(nominal, "nominal", True),
+            real=tool_function(real, "calibrated", True, turn, plain.network),
         )
 
 
@@ -187,12 +167,12 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
         if r.fine:
             groups.setdefault(b"" if r.target.tool is None else r.target.tool.tobytes(), []).append(k)
     for chosen in groups.values():
-        made = cell.with_tool(results[chosen[0]].target.tool)
+        corrector = cell.with_tool(results[chosen[0]].target.tool)
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
-        new, names = corrected_joints(made.corrector, q)
+        new, names = corrected_joints(corrector, q)
         fine = np.array([name in CORRECTED_STATUSES for name in names])
         corrected = [results[k].target for k in np.array(chosen)[fine]]
-        written = _rewritten(language, corrected, cell, made, q[fine], new[fine])
+        written = _rewritten(language, corrected, cell, corrector, q[fine], new[fine])
         for k, name in zip(chosen, names, strict=True):
             result = next(written) if name in CORRECTED_STATUSES else replace(results[k], q=None)
             results[k] = replace(result, status=name if result.fine else result.status)
@@ -331,7 +311,7 @@ def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Arr
 
 
 def _rewritten(
-    language: ProgramLanguage, targets: Sequence[Target], cell: Cell, made: ToolModels, old: Array, new: Array
+    language: ProgramLanguage, targets: Sequence[Target], cell: Cell, corrector: Corrector, old: Array, new: Array
 ) -> Iterator[CorrectedTarget]:
     """Yield corrected targets with new texts, and the tool's deviation with the numbers as written.
 
@@ -341,7 +321,7 @@ def _rewritten(
     old, new : joints before and after the correction, each shape (k, n) [rad or m]
     """
     posed = np.array([not t.joints for t in targets], dtype=bool)
-    wanted = _poses(made.nominal, new) if posed.any() else np.zeros((len(new), 4, 4))
+    wanted = _poses(corrector.nominal, new) if posed.any() else np.zeros((len(new), 4, 4))
     texts, q, flanges = [], new.copy(), []
     for k, t in enumerate(targets):
         base = cell.root @ t.base if posed[k] else None
@@ -355,11 +335,14 @@ def _rewritten(
     reached = np.ones(len(new), dtype=bool)
     if flanges:  # a controller, which has the nominal robot, solves the pose as it is written
         T = np.array(flanges)
-        inverse = made.newton.solved(T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.reading_limits)
+        assert corrector.nominal is not None
+        inverse = Newton(corrector.nominal).solved(
+            T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.reading_limits
+        )
         q[posed], reached[posed] = inverse.q, inverse.reached
     lower, upper = (-np.inf, np.inf) if cell.sources is None else cell.postures.nominal.reading_limits
     beyond = np.any((q < lower) | (q > upper), axis=1)
-    off = _deviations(made, old, q)
+    off = _deviations(corrector, old, q)
     for k, t in enumerate(targets):
         if t.posture is not None and tuple(cell.postures.sides(new[k : k + 1])[0]) != t.posture:
             yield CorrectedTarget(t, "CONFIGURATION_CHANGES")
@@ -371,16 +354,16 @@ def _rewritten(
             yield CorrectedTarget(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **figures)  # type: ignore[arg-type]
 
 
-def _deviations(made: ToolModels, old: Array, new: Array) -> dict[str, Array]:
+def _deviations(corrector: Corrector, old: Array, new: Array) -> dict[str, Array]:
     """Return figures of `CorrectedTarget` by name for joints before and after, (k,) or (k, 2).
 
     They are moved_mm and, with robot models, off_mm and off_deg.
 
     old, new : joints before and after, shape (k, n) [rad or m]
     """
-    if made.real is None or made.nominal is None:
-        return {"moved_mm": _distances_mm(made.corrector.position(old), made.corrector.position(new))}
-    wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
+    if corrector.real is None or corrector.nominal is None:
+        return {"moved_mm": _distances_mm(corrector.position(old), corrector.position(new))}
+    wanted, was, now = _poses(corrector.nominal, old), _poses(corrector.real, old), _poses(corrector.real, new)
     columns = {"moved_mm": _distances_mm(was[:, :3, 3], now[:, :3, 3])}
     columns["off_mm"] = np.stack([_distances_mm(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
     turned = [np.linalg.norm((T - wanted)[:, :3, :3], axis=(1, 2)) for T in (was, now)]

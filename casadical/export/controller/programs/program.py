@@ -53,26 +53,13 @@ _REFUSAL_MEANINGS = STATUS_MEANINGS | {
 
 
 @dataclass(frozen=True, eq=False)
-class TargetProgram:
-    """A program with its targets.
+class TargetProgram(Result):
+    """A program with its targets and, once it is corrected, the correction of each of them.
 
     source : path of the program
     language : language of the program
-    text : content of the program, one character for each byte
+    text : content of the program before the correction, one character for each byte
     targets : targets in their order, those that must stay unchanged included
-    """
-
-    source: str
-    language: ProgramLanguage
-    text: str
-    targets: tuple[Target, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class CorrectedProgram(Result):
-    """A program with the correction of each of its targets.
-
-    program : the program before the correction
     results : correction of each target, in their order
     units : "rad" or "m" of each joint's reading
     assumed : sentences on assumptions of the correction
@@ -82,7 +69,7 @@ class CorrectedProgram(Result):
 
     file_stem: ClassVar[str] = "correction"
     derived: ClassVar[tuple[Key, ...]] = (
-        Key("language", "program.language.name"),
+        Key("language", "language.name"),
         Key("targets", lambda made: len(made.results)),
         Key("corrected", lambda made: len(made.fine)),
         Key(
@@ -93,9 +80,12 @@ class CorrectedProgram(Result):
         ),
     )
 
-    program: TargetProgram
-    results: tuple[c.CorrectedTarget, ...]
-    units: tuple[str, ...]
+    source: str
+    language: ProgramLanguage
+    text: str
+    targets: tuple[Target, ...]
+    results: tuple[c.CorrectedTarget, ...] = ()
+    units: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     texts: Mapping[Path, str | bytes] = field(default_factory=dict)
@@ -112,7 +102,7 @@ class CorrectedProgram(Result):
 
     def content(self) -> bytes:
         """Return the program's bytes with the new numbers in place of the old ones."""
-        return self.program.language.written(self.program.source, self.program.text, self.results)
+        return self.language.written(self.source, self.text, self.results)
 
     def to_csv(self) -> str:
         """Return the report, one row per target, as CSV text."""
@@ -142,7 +132,7 @@ class CorrectedProgram(Result):
 
     def blocks(self) -> list[Words | Table]:
         """Return the report: number of corrected targets, reasons of others (20), motions."""
-        fine, refused, language = self.fine, self.refused, self.program.language
+        fine, refused, language = self.fine, self.refused, self.language
         head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
         head += position_only(tuple(r.status for r in fine))
         blocks = [Words(head + (f", {len(refused)} LEFT as they were:" if refused else ""), "verdict")]
@@ -197,7 +187,7 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
     return TargetProgram(str(path), language, text, tuple(targets))
 
 
-def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
+def corrected_program(program: TargetProgram, cell: c.Cell) -> TargetProgram:
     """Return a program with each target corrected, or with the reason why it is not.
 
     cell : robots and frames
@@ -207,7 +197,7 @@ def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
         results = tuple(c.corrected_targets(program.language, program.targets, cell))
     except InputError as error:
         raise InputError(f"{program.source}: {error}") from None
-    return CorrectedProgram(program, results, cell.units)
+    return replace(program, results=results, units=cell.units)
 
 
 def report_of(path: Path) -> Path:
@@ -276,7 +266,7 @@ def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
     return Table(title, (what, "mean", "max"), cells, frozenset({1, 2}))
 
 
-def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
+def assumptions(corrected: TargetProgram, cell: c.Cell) -> list[str]:
     """Return the assumptions under which a program was corrected, as sentences."""
     lines = [
         "the controller's own absolute-accuracy option is off, and joint values are the readings of the robot file"
@@ -309,7 +299,7 @@ def correct_file(
     external_still: bool = False,
     leave_unreached: bool = False,
     accuracy_off: bool = False,
-) -> CorrectedProgram:
+) -> TargetProgram:
     """Return a program with targets at which the real tool is where the nominal one would be.
 
     Nothing is written.
