@@ -8,7 +8,7 @@ import pandas as pd
 from casadical.core.basics import Show, silent
 from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, network_gaps
 from casadical.diagnosis.isolability import Isolability, isolability, ruled_out
-from casadical.diagnosis.joint_curves import JointCurves, curve_of, joint_curves
+from casadical.diagnosis.joint_curves import JointCurve, curve_of, joint_curves
 from casadical.diagnosis.laws.answer import Discovery
 from casadical.diagnosis.laws.discovery import describe_unlisted, laws_of_diagnosis
 from casadical.diagnosis.localisation import Localisation, localise
@@ -42,7 +42,7 @@ class Details:
     unlisted: Unlisted | None = None
     check: Check | None = None
     networks: tuple[NetworkGap, NetworkGap] | None = None
-    curves: JointCurves | None = None
+    curves: tuple[JointCurve, ...] = ()
     laws: Discovery | None = None
     poses: pd.DataFrame | None = None
     file: str = ""
@@ -86,7 +86,7 @@ def analyse(
     curved = found.case.one_end and curve_of(found.causes)
     if curved:
         show("joint error curves")
-    curves = joint_curves(found) if curved else None
+    curves = joint_curves(found) if curved else ()
     # A law describes the form of a residual: where only the size of the noise is in doubt, there is none.
     searched = found.case.one_end and found.verdict == "unknown" if laws is None else laws
     complete = bool(found.effects()) and found.rankings[-1].none > SETTINGS.max_p_nothing_further

@@ -16,10 +16,9 @@ from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
 from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.search import laws_before_causes, log_mass_of_causes, replaces_causes
-from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
-from casadical.diagnosis.noise_account import Rule
+from casadical.diagnosis.linear_problem import Case, make_case, updated_sigmas
 from casadical.diagnosis.noise_forms import likely_lag, noisy_joint
-from casadical.diagnosis.observations import Ratios
+from casadical.diagnosis.observations import Sigmas
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
@@ -144,12 +143,12 @@ class _Question:
             effects = ["standard", "frame_step"]
         return candidates_of(given, effects)
 
-    def case(self, ratios: Ratios | None = None) -> Case:
+    def case(self, sigmas: Sigmas | None = None) -> Case:
         """Return the case of the base model and candidates, without a prior from another campaign.
 
-        ratios : noise of the sets, see `make_case`
+        sigmas : noise of the sets, see `make_case`
         """
-        return make_case(self.base, self.candidates, self.prepared.free, ratios)
+        return make_case(self.base, self.candidates, self.prepared.free, sigmas)
 
     def with_unchanged_prior(self, case: Case, unchanged: Prior) -> Case:
         """Return the case with the prior of an earlier campaign on the unchanged effects.
@@ -226,18 +225,18 @@ class _Question:
             noise = likely_noise(case.judged.log_base(), case.judged.sigmas)
             steps = shown_by(case, NO_COLUMNS, noise, case.form)[1]
             stepped = case.with_variants({(step,): label for step, label in steps.items()})
-            if ratios := updated_ratios(stepped, np.sort(stepped.group([*steps])), noise):
-                case = self.case(ratios).with_inliers(case.inliers)
+            if sigmas := updated_sigmas(stepped, np.sort(stepped.group([*steps])), noise):
+                case = self.case(sigmas).with_inliers(case.inliers)
         found = self.searched(case := self.with_unchanged_prior(case, unchanged))
         # The sets' noise is estimated again with the causes in the model, at most twice.
         for _ in range(2):
-            ratios = updated_ratios(found.case, found.columns, found.noise)
-            if ratios is None:
+            sigmas = updated_sigmas(found.case, found.columns, found.noise)
+            if sigmas is None:
                 break
             self.show("the sets' noise differs from that of the base model: searched again")
             # Outliers stay those given the causes: to the noise without a step, every pose near it
             # is a gross error of the base model.
-            again = self.case(ratios).with_inliers(found.case.inliers)
+            again = self.case(sigmas).with_inliers(found.case.inliers)
             found = self.searched(case := self.with_unchanged_prior(again, unchanged))
         usual = case.whole.sigmas
         if not usual[0] < found.noise.sigma < usual[-1]:
@@ -392,7 +391,7 @@ def _compared_with_laws(found: Diagnosis) -> Diagnosis:
     done = not effects and found.verdict in ("none", "explained")
     # Expressions are searched in place of noise only with at least 24 degrees of freedom beyond
     # those that the base model absorbs.
-    noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= 24
+    noise = done and found.account.rules in ("fit", "data sheet") and e.count - e.absorbed >= 24
     if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects):
         return found
     # The log mass of "nothing" and of all causes is what a law has to exceed.
@@ -433,7 +432,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
             "rows between poses that share a pose: their noise is taken as independent; what they share, joint "
             "repeatability too, may look like something unknown"
         )
-    for m, (length, angle) in zip(case.observations.sets, case.observations.ratios.sigmas, strict=True):
+    for m, (length, angle) in zip(case.observations.sets, case.observations.sigmas, strict=True):
         kind = find_kind(m.kind)
         parts = [f"{1e3 * length:.3g} mm of a length"] * bool(kind.lengths)
         parts += [f"{1e3 * angle:.3g} mrad of an angle"] * bool(kind.angles)

@@ -15,7 +15,7 @@ from casadical.diagnosis.structure import sines
 from casadical.effects.joint_error_curve import JointErrorCurve
 from casadical.measurements.measurements import Noise
 
-# Titles of the columns of `JointCurves.rows`.
+# Titles of the columns of `curve_rows`.
 CURVE_COLUMNS = ("joint", "rms [urad]", "share")
 
 
@@ -58,27 +58,20 @@ class JointCurve:
         return [(float(self.angle[a]), float(self.angle[b - 1])) for a, b in edges.reshape(-1, 2)]
 
 
-@dataclass(frozen=True, eq=False)
-class JointCurves:
-    """Error curves of all joints in order; orders : highest harmonic [cycles per turn]."""
+def curve_rows(curves: Sequence[JointCurve]) -> list[tuple[str, str, str]]:
+    """Return (joint, rms [urad], part of log evidence [%]) as texts, the largest part first.
 
-    joints: tuple[JointCurve, ...] = field(metadata=WRITTEN)
-    orders: int = field(metadata=written("harmonics"))
-
-    def rows(self) -> list[tuple[str, str, str]]:
-        """Return (joint, rms [urad], part of log evidence [%]) as texts, the largest part first.
-
-        Of a curve that is not significant the text is "<" and its rms plus two standard errors.
-        """
-        rows = []
-        for c in sorted(self.joints, key=lambda c: -c.share):
-            rms, error = 1e6 * c.rms, 1e6 * c.rms_error
-            size = f"{rms:.0f} +- {error:.0f}" if c.seen else f"< {rms + 2 * error:.0f}"
-            rows.append((str(c.joint), size, f"{100 * c.share:.0f} %"))
-        return rows
+    Of a curve that is not significant the text is "<" and its rms plus two standard errors.
+    """
+    rows = []
+    for c in sorted(curves, key=lambda c: -c.share):
+        rms, error = 1e6 * c.rms, 1e6 * c.rms_error
+        size = f"{rms:.0f} +- {error:.0f}" if c.seen else f"< {rms + 2 * error:.0f}"
+        rows.append((str(c.joint), size, f"{100 * c.share:.0f} %"))
+    return rows
 
 
-def joint_curves(found: Diagnosis) -> JointCurves:
+def joint_curves(found: Diagnosis) -> tuple[JointCurve, ...]:
     """Return the error curves of a diagnosis that names joint_error_curve.
 
     Raises InputError: where no joint_error_curve is among the causes.
@@ -96,7 +89,7 @@ def curve_of(causes: Sequence[Cause]) -> JointErrorCurve | None:
     return next((e for e in effects if isinstance(e, JointErrorCurve)), None)
 
 
-def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise) -> JointCurves:
+def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise) -> tuple[JointCurve, ...]:
     """Return the error curves of an effect in the model of a case.
 
     columns : indices of the columns of all causes, rising, shape (k,); noise : assumed by the fit
@@ -144,7 +137,7 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
                 middle=(low, high),
             )
         )
-    return JointCurves(tuple(joints), effect.orders)
+    return tuple(joints)
 
 
 def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:

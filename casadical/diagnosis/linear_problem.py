@@ -20,7 +20,7 @@ from casadical.diagnosis.instrument_columns import with_anchor_columns, with_cam
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.observations import Observations, Ratios, combined_table, observe, stops_in
+from casadical.diagnosis.observations import Observations, Sigmas, combined_table, observe, scales_of, stops_in
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.prior import Prior
@@ -391,13 +391,13 @@ def make_case(
     identification: Identification,
     candidates: Sequence[Candidate],
     free: tuple[str, ...] = (),
-    ratios: Ratios | None = None,
+    sigmas: Sigmas | None = None,
 ) -> Case:
     """Return the case of an identification on its own measurements.
 
     candidates : possible causes; those whose columns were not logged are listed in `Case.missing`
     free : labels of the robot's effects that are free in the base model
-    ratios : noise of the sets' lengths and angles, by default that of the base fit
+    sigmas : noise of the sets' lengths and angles, by default that of the base fit
     """
     robot, sets = identification.given, identification.measurements
     stops = stops_in(sets)
@@ -410,7 +410,7 @@ def make_case(
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in effects for c in e.conditions], robot.loads)
     values = robot.values_of(identification.robot)
-    seen = observe(identification, m, sets, values, ratios or Ratios(identification.problem.sigmas), stops)
+    seen = observe(identification, m, sets, values, sigmas or identification.problem.sigmas, stops)
     inliers, whole, base = _problem(identification, seen, effects, values, free)
     columns = column_indices(effects, 0)
     possible = tuple(possible)
@@ -440,7 +440,7 @@ def _problem(
     inliers = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= 5.0 * residual_sd)
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, inliers, seen.apart, seen.measured)
-    lengths = [length for length, _ in seen.ratios.sigmas]
+    lengths = [length for length, _ in seen.sigmas]
     # Declared sigma in units of the residuals [m]; the ratios scale a declaring set's lengths to
     # the noise of the first set.
     declared = lengths[0] if any(m.sigma for m in seen.sets) else 0.0
@@ -496,7 +496,7 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
     return tuple(masks[k] for k in rising if least <= counts[k] < 100)[:2]
 
 
-def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
+def updated_sigmas(case: Case, columns: Array, noise: Noise) -> Sigmas | None:
     """Return the noise of each set estimated from a fit with causes; None if it hardly changes.
 
     Declared sigmas are unchanged; for a single set of positions the result is None.
@@ -505,14 +505,14 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     seen = case.observations
     if seen.plain:
         return None
-    fit, ratios = fit_of(case.evidence, columns, noise), seen.ratios
+    fit = fit_of(case.evidence, columns, noise)
     squares, leverage = (
         fit.whitened_residual.reshape(case.evidence.r.shape) ** 2,
         fit.leverage(np.arange(len(case.evidence.r))),
     )
     freedom = seen.measured[case.inliers] - np.diagonal(leverage, axis1=1, axis2=2)
-    place, sigmas = np.cumsum(case.inliers) - 1, []
-    each = zip(seen.sets, ratios.sigmas, seen.layout.poses, seen.layout.places, strict=True)
+    place, found = np.cumsum(case.inliers) - 1, list[tuple[float, float]]()
+    each = zip(seen.sets, seen.sigmas, seen.layout.poses, seen.layout.places, strict=True)
     for m, (length, angle), poses, places in each:
         own, kind = case.inliers[poses[:, 0]], find_kind(m.kind)
         poses, places = place[poses[own]], places[own]
@@ -521,9 +521,10 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
             float(np.sqrt(squares[poses, part].sum() / max(float(freedom[poses, part].sum()), 1.0))) or 1.0
             for part in parts
         ]
-        sigmas.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
-    more = Ratios(tuple(sigmas))
-    change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), ratios.of_set(k))])
+        found.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
+    more = tuple(found)
+    old, new = ([scales_of(own, k) for k in range(len(more))] for own in (seen.sigmas, more))
+    change = np.log(np.divide(new, old).ravel())
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
     # Ratios count as assumed if their logarithms change by at most 0.2.
     return more if np.abs(change[counts]).max() > 0.2 else None

@@ -27,10 +27,10 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation, linearise
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
-from casadical.identification.pose_selection.candidates import LaterPoses, campaign_payloads, later_poses
+from casadical.identification.pose_selection.candidates import campaign_payloads, later_poses
 from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Noise, unmeasured
+from casadical.measurements.measurements import Measurements, Noise, unmeasured
 
 
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> tuple[Array, Array]:
@@ -192,15 +192,17 @@ def next_poses(
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
-    drawn = later_poses(case.robot, case.m, case.inliers, columns, pool, seed, workspace, payloads)
-    poses = linearise(case.given, drawn.m, case.values)
+    drawn, repeated, warm = later_poses(case.robot, case.m, case.inliers, columns, pool, seed, workspace, payloads)
+    poses = linearise(case.given, drawn, case.values)
     noise_there = covariance_of(poses.Jq, noise.repeatability, noise.sigma)
     models = [(c.label, Predictive(*predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]
     also = [(p, r) for first, second, p, r in rivals if first != second]
     picked, gained = choose_poses(asked, also, min(n, len(drawn)))
-    return table_of(case, effects, drawn, picked, gained)
+    chosen = np.array(picked, dtype=np.int64)
+    states = None if warm is None else warm[chosen]
+    return table_of(case, effects, drawn[chosen], repeated[chosen], states, gained)
 
 
 class _Cause(NamedTuple):
@@ -248,15 +250,20 @@ def causes_in_question(case: Case, labels: Sequence[str], against: Sequence[str]
 
 
 def table_of(
-    case: Case, effects: tuple[Effect, ...], drawn: LaterPoses, picked: list[int], gained: list[float]
+    case: Case,
+    effects: tuple[Effect, ...],
+    rows: Measurements,
+    repeated: Array,
+    warm: Array | None,
+    gained: list[float],
 ) -> pd.DataFrame:
     """Return the table of the chosen poses (see `next_poses`).
 
-    effects : effects of the causes to distinguish; drawn : poses from which they were chosen
-    picked : indices of the chosen poses; gained : separation after each [nats]
+    effects : effects of the causes to distinguish
+    rows, repeated, warm : of the chosen poses, as of `later_poses`
+    gained : separation after each [nats]
     """
-    rows = drawn.m[np.array(picked, dtype=np.int64)]
-    table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
+    table = pd.DataFrame({"order": np.arange(1, len(rows) + 1)})
     for (name, unit), q in zip(case.robot.reading_units.items(), case.robot.readings_of(rows.q).T, strict=True):
         table[name] = np.round(q / unit, 4)
     needed = {c for e in effects for c in e.conditions}
@@ -264,11 +271,10 @@ def table_of(
         table["payload_kg"] = rows.conditions["payload_kg"]
     for name in sorted(c for c in needed if c.startswith("approach")):
         table[name] = rows.conditions[name].astype(int)
-    if drawn.warm is not None:
-        table["state"] = np.where(drawn.warm[picked], "warm", "cold")
-    source = drawn.repeated[picked]
-    table["repeats"] = [f"row {case.m.row[k]}" if k >= 0 else "" for k in source]
-    table["new"] = _new(case, drawn, picked)
+    if warm is not None:
+        table["state"] = np.where(warm, "warm", "cold")
+    table["repeats"] = [f"row {case.m.row[k]}" if k >= 0 else "" for k in repeated]
+    table["new"] = _new(case, rows)
     table["separation"] = np.round(gained, 3)
     sets = (case.m,) if case.observations.plain else case.observations.sets
     for name in dict.fromkeys(("time_s", "temperature_degC", *(c for m in sets for c in find_kind(m.kind).fill))):
@@ -276,20 +282,17 @@ def table_of(
     return table
 
 
-def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
-    """Return a text for each chosen pose of what the campaign did not contain; "" for nothing.
-
-    pool : poses from which they were chosen; picked : their indices
-    """
+def _new(case: Case, rows: Measurements) -> list[str]:
+    """Return a text for each chosen pose of what the campaign did not contain; "" for nothing."""
     own = case.m.conditions
     # Readings beyond the campaign's range by less than this are not new [rad or m].
     lower, upper = case.m.q.min(axis=0) - 0.02, case.m.q.max(axis=0) + 0.02
     payloads = campaign_payloads(case.robot, case.m)
     words = []
-    for k in picked:
-        said = [f"q{j + 1}" for j in np.flatnonzero((pool.m.q[k] < lower) | (pool.m.q[k] > upper))]
+    for k in range(len(rows)):
+        said = [f"q{j + 1}" for j in np.flatnonzero((rows.q[k] < lower) | (rows.q[k] > upper))]
         parts = [f"range of {' '.join(said)}"] if said else []
-        for name, column in pool.m.conditions.items():
+        for name, column in rows.conditions.items():
             value = float(column[k])
             if name == "payload_kg" and np.abs(payloads - value).min() > 1e-9:
                 parts.append(f"payload {value:g} kg")

@@ -1,9 +1,8 @@
 """Account of the noise: estimate of the fit against declaration, data sheet and repeated poses."""
 
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from math import floor, log
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -15,17 +14,11 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
 from casadical.diagnosis.noise_forms import AR_NOISE, NOISY_JOINT, best_ar_form
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.structure import PREVIOUS_POSE, Remainder, Structure, remainder_of
+from casadical.diagnosis.structure import PREVIOUS_POSE, Structure, remainder_of
 from casadical.measurements.measurements import Noise
 
-
-class Rule(StrEnum):
-    """Source of the figure that determines the size of the noise: FIT, or one independent of it."""
-
-    REPEATS = "repeats"
-    DECLARED = "declared"
-    SHEET = "data sheet"
-    FIT = "fit"
+# Source of the figure that determines the size of the noise: the fit, or one independent of it.
+Rule = Literal["repeats", "declared", "data sheet", "fit"]
 
 
 @dataclass(frozen=True)
@@ -75,7 +68,7 @@ class NoiseAccount:
     @property
     def anchored(self) -> bool:
         """Return whether a source other than the fit determines how large the noise is."""
-        return self.rules != Rule.FIT
+        return self.rules != "fit"
 
     @property
     def is_structure(self) -> bool:
@@ -88,7 +81,7 @@ class NoiseAccount:
 
         It is that over repeated poses, or the one exceeded by `excess`; else zero.
         """
-        if self.rules == Rule.REPEATS:
+        if self.rules == "repeats":
             return self.repeats
         return float(np.sqrt(self.total**2 - self.excess**2)) if self.excess else 0.0
 
@@ -123,9 +116,9 @@ class NoiseAccount:
         else:
             said.append("no repeated poses")
         ruling = {
-            Rule.REPEATS: "repeated poses",
-            Rule.DECLARED: "declaration",
-            Rule.SHEET: "data sheet",
+            "repeats": "repeated poses",
+            "declared": "declaration",
+            "data sheet": "data sheet",
         }
         if self.anchored:
             said.append(f"determined by the {ruling[self.rules]}")
@@ -138,7 +131,7 @@ class NoiseAccount:
         else:
             tell = "datasheet_mm in problem.toml, or poses measured twice, would tell"
             said.append(f"estimated from the fit: noise, or an effect of a form that was not tried ({tell})")
-        if self.rules == Rule.FIT and not self.like_noise:
+        if self.rules == "fit" and not self.like_noise:
             said.append("its tails are heavier than those of noise, or its size depends on the direction")
         return "; ".join(said)
 
@@ -146,7 +139,7 @@ class NoiseAccount:
         """Return a text of the residual's structure: excess and dependences; empty without any."""
         said = []
         if self.excess:
-            anchors = {Rule.REPEATS: "repeated poses say", Rule.SHEET: "the data sheet allows"}
+            anchors = {"repeats": "repeated poses say", "data sheet": "the data sheet allows"}
             anchor = anchors.get(self.rules, "was declared")
             said.append(f"{mm(self.excess)} mm per coordinate more than {anchor}: structure of unknown form")
         said += [
@@ -168,25 +161,26 @@ def account_of(
     of_form : the most likely noise of that form; None: `noise`
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
-    taken, remainder, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
-    if any(s.over == PREVIOUS_POSE for s in remainder.structures):
+    taken, form = scatter_of_coordinate(e, noise), ""
+    structures, like = remainder_of(case, columns, noise)
+    if any(s.over == PREVIOUS_POSE for s in structures):
         # Autocorrelated noise is still noise, if the residual shows no dependence under it.
         form, (ar_form, own, _) = AR_NOISE, best_ar_form(case, columns)
-        remainder = remainder_of(case, columns, own, ar_form)
+        structures, like = remainder_of(case, columns, own, ar_form)
     freedom = max(e.count - e.absorbed_by_base, 1.0)
-    far, rules, anchor = False, Rule.FIT, taken
+    rules: Rule = "fit"
+    far, anchor = False, taken
     if repeated.enough:
-        rules, anchor = Rule.REPEATS, repeated.sigma
+        rules, anchor = "repeats", repeated.sigma
         far = exceeds(taken, anchor, freedom, repeated.freedom)
     elif noise_prior.stated:
-        far, rules, anchor = _by_statement(case, noise, remainder)
+        far, rules, anchor = _by_statement(case, noise, like_noise=like and not structures)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
     # The limits are read from the sets, because noise_prior.sheet is scaled to the first set's
     # noise.
     stated = [m.datasheet for m in case.observations.sets if m.datasheet]
     sheet = min(stated) if noise_prior.sheet else 0.0
     sizes = (taken, noise.sigma, noise.repeatability, noise_prior.declared, sheet, repeated.sigma)
-    structures, like = remainder.structures, remainder.like_noise
     found = NoiseAccount(*sizes, repeated.freedom, rules, excess, form, structures, like)
     # The residuals of a fit with more columns than poses (error curves) are unequal in any case.
     judged = replace(found, like_noise=found.like_noise or len(columns) > len(e.r))
@@ -210,7 +204,7 @@ def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:
     """
     if found.is_structure:
         return found.structure_in_words()
-    if found.rules in (Rule.REPEATS, Rule.DECLARED):
+    if found.rules in ("repeats", "declared"):
         return ""
     if form:
         return f"the noise is more like {form} than like independent noise of one size"
@@ -223,7 +217,7 @@ def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:
     return ""
 
 
-def _by_statement(case: Case, noise: Noise, remainder: Remainder) -> tuple[bool, Rule, float]:
+def _by_statement(case: Case, noise: Noise, *, like_noise: bool) -> tuple[bool, Rule, float]:
     """Return whether the noise exceeds its declaration or data sheet, the source, and its figure.
 
     The figure is the standard deviation of a coordinate [m] by the source that determines the size
@@ -233,15 +227,16 @@ def _by_statement(case: Case, noise: Noise, remainder: Remainder) -> tuple[bool,
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
     # A declared sigma is the instrument's; at most 15 urad of joint repeatability are added to it.
-    joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if noise_prior.declared else Rule.SHEET
+    joints = min(noise.repeatability, 15e-6)
+    rule: Rule = "declared" if noise_prior.declared else "data sheet"
     taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(noise_prior.stated, joints))
     freedom = max(e.count - e.absorbed_by_base, 1.0)
     above = exceeds(taken, allowed, freedom, np.inf)
-    if above and (remainder.structures or not remainder.like_noise):
+    if above and not like_noise:
         return True, rule, allowed
     # Otherwise the fit rules where it differs significantly from what is stated.
     differs = above or (noise_prior.declared and exceeds(allowed, taken, np.inf, freedom))
-    return (False, Rule.FIT, taken) if differs else (False, rule, allowed)
+    return (False, "fit", taken) if differs else (False, rule, allowed)
 
 
 def exceeds(larger: float, smaller: float, above: float, below: float) -> bool:

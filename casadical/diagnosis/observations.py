@@ -58,22 +58,18 @@ class Stops:
         return np.asarray((np.cumsum(mask) - 1)[self.of[mask[self.of]]])
 
 
-@dataclass(frozen=True)
-class Ratios:
-    """Noise standard deviations of every set, of which only the ratios matter.
+# Noise standard deviations of a length [m] and of an angle [rad] of every set. Only their ratios
+# matter.
+Sigmas = tuple[tuple[float, float], ...]
 
-    sigmas : for each set those of a length [m] and of an angle [rad]
+
+def scales_of(sigmas: Sigmas, k: int) -> tuple[float, float]:
+    """Return the factors that scale the lengths and the angles of set k to equal noise.
+
+    The scaled noise is that of a length of the first set; units are 1 and m/rad.
     """
-
-    sigmas: tuple[tuple[float, float], ...]
-
-    def of_set(self, k: int) -> tuple[float, float]:
-        """Return the factors that scale the lengths and the angles of set k to equal noise.
-
-        The scaled noise is that of a length of the first set; units are 1 and m/rad.
-        """
-        length, angle = self.sigmas[k]
-        return self.sigmas[0][0] / length, self.sigmas[0][0] / angle
+    length, angle = sigmas[k]
+    return sigmas[0][0] / length, sigmas[0][0] / angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +77,7 @@ class Observations:
     """Residuals and Jacobians of measurement sets at the base model that was calibrated on them.
 
     m : all n poses as one table; sets : the measurement sets, with the conditions of m
-    ratios : noise of the sets by which r and all Jacobians are scaled
+    sigmas : noise of the sets by which r and all Jacobians are scaled
     layout : positions of the sets' rows among the numbers of the poses
     r : measured minus modelled numbers, shape (n, numbers) [m, angles scaled to m]
     linear : derivatives of the modelled numbers
@@ -97,7 +93,7 @@ class Observations:
 
     m: Measurements
     sets: tuple[Measurements, ...]
-    ratios: Ratios
+    sigmas: Sigmas
     layout: Layout
     r: Array
     linear: Linearisation
@@ -245,18 +241,18 @@ def observe(
     m: Measurements,
     sets: Sequence[Measurements],
     values: Array,
-    ratios: Ratios,
+    sigmas: Sigmas,
     stops: Stops,
 ) -> Observations:
     """Return residuals and Jacobians of the sets at given parameters of the base model.
 
     m : table of `combined_table` with every condition that the effects need
     values : parameters of the base model, shape (P,) [SI]
-    ratios : noise of the sets, for scaling; stops : see `stops_in`
+    sigmas : noise of the sets, for scaling; stops : see `stops_in`
     """
     robot, where = identification.given, identification.unknown_points
     sets = with_combined_conditions(sets, m, stops)
-    parts = [_observe_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
+    parts = [_observe_set(robot, part, k, values, where, sigmas) for k, part in enumerate(sets)]
     rows, numbers = row_slices(sets), [find_kind(m.kind).numbers for m in sets]
     counts = np.repeat(numbers, [len(m) for m in sets])
     order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
@@ -292,7 +288,7 @@ def observe(
     return Observations(
         m=m,
         sets=sets,
-        ratios=ratios,
+        sigmas=sigmas,
         layout=layout,
         r=layout.together([part.r for part in parts]),
         linear=linear,
@@ -391,7 +387,7 @@ class _SetObservations(NamedTuple):
 
 
 def _observe_set(
-    robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], ratios: Ratios
+    robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], sigmas: Sigmas
 ) -> _SetObservations:
     """Return residuals and Jacobians of set m, of index k, scaled to equal noise of all sets.
 
@@ -401,20 +397,20 @@ def _observe_set(
     kind, n = find_kind(m.kind), len(m)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
     number = {name: i for i, name in enumerate(where)}
-    at = observed_at_seams(robot, kind, bool(names))
+    function, observed = observed_at_seams(robot, kind, bool(names))
     arrays = {**m.arrays, "point": np.array([where[name] for name in names])}
-    data = np.concatenate([np.asarray(arrays[name], dtype=float).reshape(n, -1) for name in at.data], axis=1)
+    data = np.concatenate([np.asarray(arrays[name], dtype=float).reshape(n, -1) for name in observed], axis=1)
     w, constants = m.condition_matrix(robot.conditions, robot.declared), constants_of(robot, robot.torque_scale)
-    r, J, S, U, seen, q = over_poses(at.function, m.q, w, (values, constants), data)
-    length, angle = ratios.of_set(k)
+    r, J, S, U, seen, q = over_poses(function, m.q, w, (values, constants), data)
+    length, angle = scales_of(sigmas, k)
     scale = np.repeat([length, angle], [kind.lengths, kind.angles])
     rows, size = scale * np.sqrt(m.weight)[:, None], np.repeat([1 / length, 0.0], [kind.lengths, kind.angles])
     for each in (J, S, U):
         each *= rows[:, :, None]
     there, sizes = (np.broadcast_to(a, (n, kind.numbers)) for a in ((m.weight > 0)[:, None], size))
     points = np.array([number[name] for name in names] or [-1] * n)
-    seen_at, q_at = ((a[:, :, 0], a[:, :, at.ends - 1]) for a in (seen, q))
-    return _SetObservations(-r[:, :, 0] * rows, J, S, U, seen_at, q_at, there, sizes, points, at.ends)
+    seen_at, q_at = ((a[:, :, 0], a[:, :, -1]) for a in (seen, q))
+    return _SetObservations(-r[:, :, 0] * rows, J, S, U, seen_at, q_at, there, sizes, points, q.shape[2])
 
 
 def _point_prior(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:

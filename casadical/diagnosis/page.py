@@ -14,7 +14,7 @@ from casadical.core.reporting.drawing import LEGEND_HEIGHT_PX, TITLE_HEIGHT_PX
 from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
-from casadical.diagnosis.joint_curves import CURVE_COLUMNS, JointCurve, JointCurves
+from casadical.diagnosis.joint_curves import CURVE_COLUMNS, JointCurve, curve_rows
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
@@ -56,7 +56,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
         layered = [Table("Layer by layer: errors on held-out poses, mm", columns, layers, frozenset(range(1, 5)))]
     curves: list[Block] = []
     if more.curves:
-        lines = [tuple(cell.replace("+-", "±") for cell in row) for row in more.curves.rows()]
+        lines = [tuple(cell.replace("+-", "±") for cell in row) for row in curve_rows(more.curves)]
         curves = [Table("Curves", CURVE_COLUMNS, lines, frozenset({1, 2}))]
     sections = [
         Section(
@@ -403,21 +403,21 @@ def shrinks(d: Diagnosis) -> Figure:
     )
 
 
-def curve_figure(curves: JointCurves) -> Figure:
+def curve_figure(curves: Sequence[JointCurve]) -> Figure:
     """Return the figure of each joint's error curve over a turn, with its 95 % band."""
-    reached = (((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0)) for c in curves.joints if c.seen)
+    reached = (((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0)) for c in curves if c.seen)
     most = 1e6 * float(max(reached, default=1e-4))
     x = Axis(ends=(-180, 180), ticks=[-180, -90, 0, 90, 180], labels=["", "-90", "0", "90", ""])
     y = Axis(ends=(-most, most), count=5)
-    titles = (f"{100 * c.share:.0f} %" if c.seen else "not seen" for c in curves.joints)
+    titles = (f"{100 * c.share:.0f} %" if c.seen else "not seen" for c in curves)
     panels = [
         Panel(k // 2 + 1, k % 2 + 1, f"joint {c.joint}: {title}", x, y)
-        for k, (c, title) in enumerate(zip(curves.joints, titles, strict=True))
+        for k, (c, title) in enumerate(zip(curves, titles, strict=True))
     ]
     return Figure(
         name="curves/angles",
         title="Error of each joint over its own angle",
-        series=[series for k, c in enumerate(curves.joints) for series in _curve(c, k, most)],
+        series=[series for k, c in enumerate(curves) for series in _curve(c, k, most)],
         x=Axis("reading [deg]"),
         y=Axis("error [urad]"),
         caption="With the base model, all other causes and the curves of the other joints in the model. Shaded: angles "

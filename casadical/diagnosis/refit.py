@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.observations import row_slices, with_combined_conditions
+from casadical.diagnosis.observations import row_slices, scales_of, with_combined_conditions
 from casadical.effects import Effect
 from casadical.identification.identification import calibrated, prepare
 from casadical.identification.residuals import make_block
@@ -110,6 +110,6 @@ def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list
     for k, (m, poses, places) in enumerate(zip(sets, seen.layout.poses, seen.layout.places, strict=True)):
         count = np.count_nonzero(seen.measured[poses, places])
         usual = float(np.sqrt(square[poses, places].sum() / max(1, count)))
-        length, angle = (usual / scale for scale in seen.ratios.of_set(k))
+        length, angle = (usual / scale for scale in scales_of(seen.sigmas, k))
         given.append(replace(m, sigma=length, sigma_angle=angle))
     return given

@@ -95,24 +95,14 @@ def seams_of(robot: Robot) -> Seams:
     return _seams(robot.with_effect(_Probe(robot)).structure, len(robot.parameters))
 
 
-@dataclass(frozen=True, eq=False)
-class Observed:
-    """Residual and derivatives of one kind of measurement at the seams of robots of one structure.
+def observed_at_seams(robot: Robot, kind: MeasurementKind, point: bool) -> tuple[ca.Function, tuple[str, ...]]:
+    """Return residual and derivatives of a kind of measurement at a robot's seams, and their data.
 
-    function : (q, w, phi, constants, data)->(r, J[numbers, P], S[numbers, seams of each end],
-        U[numbers, 3 or 0], seen and q of each end); r is model minus measurement; J, S and U are
-        its derivatives by parameters, seam variables and the unknown point; see `Seams` for seen
-    data : names of the observed quantities in the order of the function's data
-    ends : number of poses that a measurement involves, one or two
-    """
-
-    function: ca.Function
-    data: tuple[str, ...]
-    ends: int
-
-
-def observed_at_seams(robot: Robot, kind: MeasurementKind, point: bool) -> Observed:
-    """Return residual and derivatives of a kind of measurement at a robot's seams.
+    The function is (q, w, phi, constants, data)->(r, J[numbers, P], S[numbers, seams of each end],
+    U[numbers, 3 or 0], seen and q of each end); r is model minus measurement; J, S and U are its
+    derivatives by parameters, seam variables and the unknown point; see `Seams` for seen. A
+    measurement involves one or two poses, its ends. The names are those of the observed quantities
+    in the order of the function's data.
 
     point : whether the measured target is an unknown point
     """
@@ -142,8 +132,10 @@ def _mapped(f: ca.Function, n: int) -> ca.Function:
 
 
 @lru_cache(maxsize=16)
-def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bool) -> Observed:
-    """Return the composed residual and derivatives of a kind of measurement.
+def _observed(
+    structure: Structure, count: int, kind: MeasurementKind, point: bool
+) -> tuple[ca.Function, tuple[str, ...]]:
+    """Return the composed residual and derivatives of `observed_at_seams`, and names of their data.
 
     structure : includes the probe; count : number of base parameters, P
     point : whether the measured target is an unknown point
@@ -175,7 +167,7 @@ def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bo
     inputs: list[ca.SX] = [model.q, model.w, ca.SX(phi), model.constants, observed]
     every = [*parts, seen, ca.horzcat(*(q for q, _ in ends))]
     outputs: list[ca.SX] = [ca.SX(ca.densify(part)) for part in every]
-    return Observed(ca.Function("observed", inputs, outputs), tuple(pose.observed), len(ends))
+    return ca.Function("observed", inputs, outputs), tuple(pose.observed)
 
 
 @lru_cache(maxsize=16)

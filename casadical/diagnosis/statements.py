@@ -16,7 +16,6 @@ from casadical.diagnosis.held_out_gap import depends_on_time
 from casadical.diagnosis.isolability import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
-from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Cause, Diagnosis, settings_of
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import TransmissionRipple
@@ -230,9 +229,9 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
 def noise(d: Diagnosis) -> str:
     """Return a phrase on a campaign's noise and the source that confirms it, else the doubt."""
     by_source = {
-        Rule.REPEATS: ", as large as repeated poses say",
-        Rule.DECLARED: ", as large as declared",
-        Rule.SHEET: ", no larger than the data sheet allows",
+        "repeats": ", as large as repeated poses say",
+        "declared": ", as large as declared",
+        "data sheet": ", no larger than the data sheet allows",
     }
     return (d.account.form or "noise") + by_source.get(d.account.rules, ", or a form that was not tried")
 

@@ -63,20 +63,12 @@ class Structure:
     line: tuple[int, float] | None = None
 
 
-@dataclass(frozen=True)
-class Remainder:
-    """Result of the tests of a residual.
-
-    structures : significant dependences, the most significant first
-    like_noise : whether the residual otherwise has Gaussian tails and is isotropic
-    """
-
-    structures: tuple[Structure, ...]
-    like_noise: bool
-
-
-def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
+def remainder_of(
+    case: Case, columns: Array, noise: Noise, form: Form | None = None
+) -> tuple[tuple[Structure, ...], bool]:
     """Return the drivers on which a fit's residual depends, and whether it is otherwise like noise.
+
+    Of the dependences the most significant one is first. Like noise are Gaussian tails and isotropy.
 
     columns : indices of the columns of the causes in the fit, shape (k,)
     noise, form : noise by which the residual is whitened; None: white
@@ -190,10 +182,10 @@ class _WhitenedResidual:
         freedom = min(2 * n / max(scatter, 1e-9), numbers) / self.e.poses_per_stop
         return freedom * (1 - self._absorbed / max(numbers, 1))
 
-    def judged(self) -> Remainder:
+    def judged(self) -> tuple[tuple[Structure, ...], bool]:
         """Return up to three significant dependences on drivers, and if the rest is like noise."""
         if not self._has_residual:
-            return Remainder((), like_noise=True)
+            return (), True
         tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
         tests += [s for j in self.case.robot.numbers for s in self._line_tests(j, self._cycles[j])]
         sure = _significant(tests, len(tests) + self._screened)
@@ -202,7 +194,7 @@ class _WhitenedResidual:
         # The tails are Gaussian if the squares have 0.6 of the numbers' degrees of freedom.
         tails = self.freedom * self.e.poses_per_stop >= 0.6 * (self.e.count - self._absorbed)
         # At most three drivers are reported.
-        return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
+        return tuple([*reversed(each.values())][:3]), tails and self._isotropic()
 
     @staticmethod
     def _with_aliases(line: Structure, sure: Sequence[Structure]) -> Structure:

@@ -12,7 +12,7 @@ from casadical.core.reporting.plain import plain
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.isolability import cannot_tell
-from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of
+from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of, curve_rows
 from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import (
@@ -62,7 +62,7 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
         if s.about == "WHICH" and d.causes:
             tables = [*_sized(d)]
             if more and more.curves and curve_of(d.causes):
-                tables.append(Table("", CURVE_COLUMNS, more.curves.rows(), frozenset({0, 1, 2})))
+                tables.append(Table("", CURVE_COLUMNS, curve_rows(more.curves), frozenset({0, 1, 2})))
         if s.about == "LAYERS":
             tables = [Table("", LAYER_COLUMNS, layer_rows(d, floor_of(d, more)), frozenset({1, 2, 3, 4}))]
         if tables:
@@ -147,7 +147,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
     more : result of `analyse`; analyses that were not computed are omitted
     """
     more = more or Details()
-    poses = pd.DataFrame() if more.poses is None else more.poses
+    poses, curved = pd.DataFrame() if more.poses is None else more.poses, curve_of(d.causes)
     check, of_floor, form = more.check, floor_of(d, more), d.rankings[-1].noise_form
     prior = d.prior and {**d.prior.to_json([d.case.m]), "changed": d.changes}
     answer = {
@@ -187,7 +187,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
         ],
         "told_rightly": [round(p, 4) for p in discrimination_probability(d, poses)] if len(poses) else None,
         "refit_mm": check and {"held_out": _mm(check.refit), "linearised": _mm(check.linearised)},
-        "curves": more.curves,
+        "curves": {"joints": more.curves, "harmonics": curved.orders} if curved and more.curves else None,
         "network_mm": [
             {**{k: _mm(getattr(gap, k)) for k in ("before", "used", "forced")}, "refused": gap.refused}
             for gap in more.networks or ()

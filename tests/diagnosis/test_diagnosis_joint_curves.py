@@ -60,18 +60,18 @@ def test_curves_of_all_joints_are_named_and_predict(found) -> None:
 def test_curves_lie_within_their_bands_and_share_what_they_explain(found) -> None:
     d, _ = found
     curves = joint_curves(d)
-    assert sum(c.share for c in curves.joints) == pytest.approx(1)
-    for c in curves.joints:
+    assert sum(c.share for c in curves) == pytest.approx(1)
+    for c in curves:
         truth = true_errors(21, np.tile(c.angle[:, None], 6))[:, c.joint - 1]
         if c.seen:
             assert (np.abs(c.value - truth) < 1.96 * c.error)[c.covered].mean() > 0.85
         if not c.covered.all():
             assert c.error[~c.covered].mean() > c.error[c.covered].mean()
-    assert sum(c.seen for c in curves.joints) >= 3
+    assert sum(c.seen for c in curves) >= 3
     answer = as_json(d, "curved", Details(curves=curves))
     assert answer["causes"][0]["parameters"] == {}
     assert answer["curves"]["harmonics"] == 60
-    for c, told in zip(curves.joints, answer["curves"]["joints"], strict=True):
+    for c, told in zip(curves, answer["curves"]["joints"], strict=True):
         q = (np.rad2deg(d.case.m.q[:, c.joint - 1]) + 180) % 360 - 180
         inside = [(low <= q) & (q <= high) for low, high in told["covered_deg"]]
         assert np.any(inside, axis=0).mean() > 0.95
@@ -81,7 +81,7 @@ def test_curves_lie_within_their_bands_and_share_what_they_explain(found) -> Non
     lines = page.splitlines()
     start = next(k for k, line in enumerate(lines) if line.split()[:2] == ["joint", "rms"])
     rows = [line.split() for line in lines[start + 1 : start + 7]]
-    assert [int(row[0]) for row in rows] == [c.joint for c in sorted(curves.joints, key=lambda c: -c.share)]
+    assert [int(row[0]) for row in rows] == [c.joint for c in sorted(curves, key=lambda c: -c.share)]
 
 
 def test_a_diagnosis_without_curves_has_none_to_show() -> None:

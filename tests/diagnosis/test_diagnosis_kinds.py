@@ -17,7 +17,7 @@ from casadical.diagnosis.linear_problem import make_case, unsure_tables
 from casadical.diagnosis.localisation import localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_forms import AR_NOISE
-from casadical.diagnosis.observations import Stops, _by_stop, stops_in
+from casadical.diagnosis.observations import Stops, _by_stop, scales_of, stops_in
 from casadical.diagnosis.statements import assumptions, statements, wires_at_fault
 from casadical.diagnosis.text import as_json, page_of
 from casadical.effects import Backlash, ThermalGrowth, WireDrift
@@ -145,7 +145,7 @@ def test_what_an_instrument_does_to_its_reading_it_does_to_no_other_of_the_stop(
         values = {f"{effect.label}.{name}": 1e-2 * size}
         for j, m in enumerate(case.observations.sets):
             more = readings(changed.with_values(values), m, m) - readings(found.robot, m, m)
-            scale = case.observations.ratios.of_set(j)[0]
+            scale = scales_of(case.observations.sigmas, j)[0]
             np.testing.assert_allclose(E[:, j, k], 1e2 * scale * more, rtol=1e-3, atol=1e-9)
 
 
@@ -250,7 +250,7 @@ def test_angles_have_a_noise_of_their_own() -> None:
     found = diagnose(robot("hh800"), m, ["backlash", "joint_coupling"])
     assert [c.label for c in found.causes] == ["backlash@5"]
     assert not found.case.observations.plain
-    length, angle = found.case.observations.ratios.of_set(0)
+    length, angle = scales_of(found.case.observations.sigmas, 0)
     assert length == 1.0
     # .1 mrad were put in.
     assert found.noise.sigma / angle == pytest.approx(1e-4, rel=0.3)
@@ -276,7 +276,7 @@ def test_sets_of_two_kinds_have_noise_of_their_own() -> None:
     found = diagnose(robot("hh800"), [m[60:], coarse], ["backlash"])
     assert not found.case.observations.plain
     # .2 mm were put in.
-    assert found.noise.sigma / found.case.observations.ratios.of_set(1)[0] == pytest.approx(2e-4, rel=0.3)
+    assert found.noise.sigma / scales_of(found.case.observations.sigmas, 1)[0] == pytest.approx(2e-4, rel=0.3)
     assert [c.label for c in found.causes] == ["backlash@5"]
 
 
@@ -352,7 +352,7 @@ def test_a_step_makes_no_outliers_when_causes_are_searched_again_with_the_noise_
     slipped = replace(wire, distance=wire.distance + 1e-3 * (row >= 20))
     found = diagnose(robot("kr210"), [m, slipped], ["wire_step"], laws=False)
     # The noise of the wire was estimated again, without its step.
-    assert found.case.observations.ratios.sigmas[1][0] < 1e-4
+    assert found.case.observations.sigmas[1][0] < 1e-4
     assert found.case.inliers.all()
     assert [c.label for c in found.causes] == ["wire_step"]
     time = found.case.progress

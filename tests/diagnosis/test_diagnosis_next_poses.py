@@ -95,7 +95,7 @@ def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) ->
     least = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*doubtful.robot.conditions, *(c for e in effects for c in e.conditions)))
-    pool = later_poses(doubtful.robot, doubtful.m, doubtful.inliers, columns, 400, 5).m
+    pool = later_poses(doubtful.robot, doubtful.m, doubtful.inliers, columns, 400, 5)[0]
     there = linearise(doubtful.given, pool, doubtful.values)
     found = [(cause.label, predict_cause(doubtful, cause.variant, least, there)) for cause in causes]
     noise = covariance_of(there.Jq, least.repeatability, least.sigma)

@@ -33,7 +33,6 @@ from casadical.diagnosis.laws.candidates import LawProblem
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
-from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, prior_weights, rank
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.settings import SETTINGS
@@ -227,8 +226,7 @@ def test_next_poses_have_the_unit_of_their_joint() -> None:
     m = Measurements(q=q, kind="position", position=np.zeros((2, 3)))
     plain = SimpleNamespace(plain=True)
     case: Any = SimpleNamespace(robot=Robot("two joints", joints), m=m, observations=plain)
-    drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
-    table = table_of(case, (), drawn, [0], [0.5])
+    table = table_of(case, (), m[:1], np.array([-1]), None, [0.5])
     assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]
 
 
@@ -332,11 +330,10 @@ def test_sums_and_differences_of_joints_drive_by_the_same_harmonics() -> None:
         np.testing.assert_allclose(np.sort(found[f"q1 {word} q2"], axis=1), waves, atol=1e-12)
 
 
-@pytest.mark.parametrize(("fitted", "rule"), [(1e-5, Rule.DECLARED), (5e-6, Rule.FIT), (2e-5, Rule.FIT)])
-def test_a_declared_noise_rules_unless_the_fit_differs(fitted: float, rule: Rule, monkeypatch) -> None:
+@pytest.mark.parametrize(("fitted", "rule"), [(1e-5, "declared"), (5e-6, "fit"), (2e-5, "fit")])
+def test_a_declared_noise_rules_unless_the_fit_differs(fitted: float, rule: str, monkeypatch) -> None:
     monkeypatch.setattr(noise_account, "scatter_of_coordinate", lambda _, noise: noise.sigma)
     prior = NoisePrior(declared=1e-5)
     case = SimpleNamespace(evidence=SimpleNamespace(noise_prior=prior, count=600, absorbed_by_base=6))
-    like = SimpleNamespace(structures=(), like_noise=True)
-    found = noise_account._by_statement(case, Noise(fitted, 0.0), like)
+    found = noise_account._by_statement(case, Noise(fitted, 0.0), like_noise=True)
     assert found == (False, rule, fitted)

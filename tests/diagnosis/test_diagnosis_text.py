@@ -15,7 +15,7 @@ from casadical.diagnosis.held_out_gap import COURSE_COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.localisation import BIN_COLUMNS, DIRECTION_COLUMNS, PART_COLUMNS, Localisation
 from casadical.diagnosis.next_poses import probability_after
-from casadical.diagnosis.noise_account import NoiseAccount, Rule
+from casadical.diagnosis.noise_account import NoiseAccount
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import headline, missing_columns, not_logged
@@ -52,7 +52,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         ("+ thermal_zero_drift@3", 0.046, 0.041, 0.052, 0.045, 0.055, 0.038, 0.031, 0.044),
     ]
     noise = Noise(12e-6, 5e-6)
-    account = NoiseAccount(14e-6, 12e-6, 5e-6, 20e-6, 0.0, 12e-6, 36, Rule.REPEATS, 0.0, "", (), like_noise=True)
+    account = NoiseAccount(14e-6, 12e-6, 5e-6, 20e-6, 0.0, 12e-6, 36, "repeats", 0.0, "", (), like_noise=True)
     one = replace(made_up({label: 0.55, rival: 0.45}, 1e-9), noise={"": noise})
     return replace(
         true,

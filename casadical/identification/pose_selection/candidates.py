@@ -217,23 +217,6 @@ def timeline(names: list[str], progress: Array, n: int, circumstances: Circumsta
     return {name: np.interp(progress, course, clock.conditions[name]) for name in names}
 
 
-@dataclass(frozen=True, eq=False)
-class LaterPoses:
-    """Poses that could be measured after a campaign.
-
-    m : K poses with their columns of conditions, without measured values
-    repeated : index of the campaign's pose that a pose repeats, -1 for none, shape (K,)
-    warm : whether the arm is to be warm, shape (K,); None without a column warmth_...
-    """
-
-    m: Measurements
-    repeated: Array
-    warm: Array | None
-
-    def __len__(self) -> int:
-        return len(self.m)
-
-
 def later_poses(
     robot: Robot,
     campaign: Measurements,
@@ -243,10 +226,13 @@ def later_poses(
     seed: int,
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
-) -> LaterPoses:
-    """Return random poses and the inliers of a campaign, under random circumstances.
+) -> tuple[Measurements, Array, Array | None]:
+    """Return K poses that could be measured after a campaign, in random circumstances.
 
-    Up to half of the random ones are within the inliers' joint ranges.
+    They are random ones, up to half of them within the inliers' joint ranges, and the inliers. They
+    have their columns of conditions and no measured values. The arrays are the index of the
+    campaign's pose that each repeats, -1 for none, shape (K,), and whether the arm is to be warm,
+    shape (K,); None without a column warmth_...
 
     inliers : mask of the campaign's inliers, shape (n,)
     columns : names of the columns of conditions that are needed
@@ -278,7 +264,7 @@ def later_poses(
     warm = rng.random(len(q)) < 0.5
     conditions = {name: _later_column(name, campaign.conditions.get(name), warm, states, rng) for name in columns}
     thermal = any(name.startswith("warmth_") for name in conditions)
-    return LaterPoses(unmeasured(q, conditions), repeated, warm if thermal else None)
+    return unmeasured(q, conditions), repeated, warm if thermal else None
 
 
 def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:

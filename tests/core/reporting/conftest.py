@@ -9,7 +9,7 @@ import pytest
 from casadical import report
 from casadical.diagnosis.details import analyse
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.joint_curves import JointCurve, JointCurves
+from casadical.diagnosis.joint_curves import JointCurve
 from casadical.diagnosis.page import diagnosis_page
 from casadical.export.mjcf.replay import replay_blocks
 from casadical.measurements.reading import read_measurements
@@ -36,7 +36,7 @@ def diagnosis():
 
 
 @pytest.fixture(scope="session")
-def curves() -> JointCurves:
+def curves() -> tuple[JointCurve, ...]:
     """Of six joints, made up: the second alone errs, the others were not seen."""
     angle = np.linspace(-np.pi, np.pi, 181)
     error = np.where(np.abs(angle) < 2, 5e-6, 6e-5)
@@ -46,7 +46,7 @@ def curves() -> JointCurves:
         rms, lost = float(np.sqrt((value**2).mean())), 99.0 * (j == 2)
         covered = np.abs(angle) < 2
         joints.append(JointCurve(j, angle, value, error, covered, rms, 8e-6, lost, lost / 99, (16.0, 18.0)))
-    return JointCurves(tuple(joints), 60)
+    return tuple(joints)
 
 
 @pytest.fixture(scope="session")

@@ -85,7 +85,7 @@ def test_curves_are_drawn_with_their_bands(diagnosis, details, curves) -> None:
     angles = figures["curves/angles"]
     drawn = [t for t in angles.data if t.name == "curve"]
     assert len(drawn) == 6
-    second = curves.joints[1]
+    second = curves[1]
     assert np.array(drawn[1].y) == pytest.approx(1e6 * second.value, abs=0.06)
     assert np.array(drawn[1].customdata) == pytest.approx(1.96e6 * second.error, abs=0.6)
     covered = [t for t in angles.data if t.name == "angles with readings"][1]

@@ -386,8 +386,8 @@ def test_the_table_for_the_robot_tells_micrometres() -> None:
 
 def test_half_of_the_later_poses_lie_within_the_campaigns_ranges() -> None:
     own = expected(ROBOT, np.random.default_rng(0).uniform(0.2, 0.6, (5, ROBOT.n)), {}, "campaign")
-    drawn = later_poses(ROBOT, own, np.ones(5, dtype=bool), (), 400, 0)
-    new = drawn.m.q[drawn.repeated < 0]
+    drawn, repeated, _ = later_poses(ROBOT, own, np.ones(5, dtype=bool), (), 400, 0)
+    new = drawn.q[repeated < 0]
     within = ((new >= own.q.min(axis=0)) & (new <= own.q.max(axis=0))).all(axis=1)
     assert 200 <= within.sum() < 220
 
