@@ -22,7 +22,7 @@ from casadical.effects import LinkMasses, PayloadError
 from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against, gross_errors
-from casadical.identification.prediction import redundancies, variance
+from casadical.identification.prediction import redundancies
 from casadical.identification.prior import Prior, carry_over, departure_of
 from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
@@ -409,7 +409,7 @@ def calibrated(
         identifiability=judged,
         problem=reduced,
         solution=solution,
-        variance=variance(reduced, solution.v, trimmed=True),
+        variance=reduced.variance(solution.v, trimmed=True),
         degrees_of_freedom=reduced.degrees_of_freedom,
         outliers=outliers,
         tried=prepared.tried,

@@ -19,6 +19,7 @@ import numpy as np
 from casadical.core.basics import M_PER_MM, Array
 from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.parameters import Parameter
+from casadical.core.statistics import robust_std
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_solution
 from casadical.identification.residuals import MAX_CACHED_DATA_POSES, Block, Loss, loss_and_slope, make_block
@@ -406,6 +407,20 @@ class LeastSquares:
     def square(self, v: Array) -> float:
         """Return the sum of the squares of all residuals at v, without the loss."""
         return self._sums(v).square
+
+    def variance(self, v: Array, *, trimmed: bool = False) -> float:
+        """Return the variance of a residual at v in units of sigma^2: square sum by degrees of freedom.
+
+        Informative priors are in both. With a robust loss, unless outliers were excluded (`trimmed`),
+        it comes from the median of the sets' robust variances instead. With a correlated prior it is at
+        least one: small residuals are no sign that prior or instrument is better than stated.
+        """
+        least = 1.0 if self.correlated else 0.0
+        freedom = max(1, self.degrees_of_freedom)
+        if self.loss != "linear" and not trimmed:
+            typical = float(np.median([robust_std(r) ** 2 for r in self.residuals(v)]))
+            return max(least, typical * self.residual_count / freedom)
+        return max(least, (self.square(v) + self.prior_square(v, counted=True)) / freedom)
 
     @staticmethod
     def _joined(parts: Iterable[tuple[int, Array]]) -> list[Array]:

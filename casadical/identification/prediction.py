@@ -26,7 +26,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.noise import log_gain_by_size
 from casadical.core.linear_gaussian.normal_equations import joined
-from casadical.core.statistics import robust_std
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.identification.solver import bounded_step
@@ -52,21 +51,6 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
     whole[np.ix_(free, free)] = variance * inverse
     p = len(problem.names)
     return np.asarray(whole[:p, :p] * np.outer(problem.scale, problem.scale))
-
-
-def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
-    """Return the variance of a residual at v in units of sigma^2: square sum by degrees of freedom.
-
-    Informative priors are in both. With a robust loss, unless outliers were excluded (`trimmed`),
-    it comes from the median of the sets' robust variances instead. With a correlated prior it is at
-    least one: small residuals are no sign that prior or instrument is better than stated.
-    """
-    least = 1.0 if problem.correlated else 0.0
-    freedom = max(1, problem.degrees_of_freedom)
-    if problem.loss != "linear" and not trimmed:
-        typical = float(np.median([robust_std(r) ** 2 for r in problem.residuals(v)]))
-        return max(least, typical * problem.residual_count / freedom)
-    return max(least, (problem.square(v) + problem.prior_square(v, counted=True)) / freedom)
 
 
 def redundancies(problem: LeastSquares, v: Array) -> Array:

@@ -20,7 +20,7 @@ from casadical.identification.identifiability import (
 )
 from casadical.identification.least_squares import MANY_PARAMETERS, LeastSquares, Linearised
 from casadical.identification.plausibility import undefined
-from casadical.identification.prediction import redundancies, variance
+from casadical.identification.prediction import redundancies
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.camera_noise import refined
 from casadical.measurements.kinds.registry import find_kind
@@ -324,7 +324,7 @@ def reduce_and_solve(
     while reduced.names:
         variables = reduced.names, reduced.labels
         try:
-            poor_at = None if problem.priors else lambda own, v: _poorly_determined(own, v, variance(own, v))
+            poor_at = None if problem.priors else lambda own, v: _poorly_determined(own, v, own.variance(v))
             solution = reduced.solve(progress, optima.get(variables), poor_at)
         except ConvergenceError:
             if problem.priors:
@@ -332,13 +332,13 @@ def reduce_and_solve(
             # Poorly determined parameters make a solve diverge. They are judged by the sigmas or,
             # if these show none, by the residuals at the start.
             at = np.zeros(reduced.size)
-            worse = _poorly_determined(reduced, at, 1.0) or _poorly_determined(reduced, at, variance(reduced, at))
+            worse = _poorly_determined(reduced, at, 1.0) or _poorly_determined(reduced, at, reduced.variance(at))
             if not worse:
                 raise
         else:
             optima[variables] = solution.v
             largest_sigma = largest_sigma or _largest_residual_sigma(reduced, solution.v)
-            worse = [] if problem.priors else _poorly_determined(reduced, solution.v, variance(reduced, solution.v))
+            worse = [] if problem.priors else _poorly_determined(reduced, solution.v, reduced.variance(solution.v))
             if not worse:
                 more = _with_visible(reduced, solution.v, analysis, problem.names)
                 if more is None:
@@ -405,7 +405,7 @@ def _with_visible(
         wider, at = _with_added_parameters(problem, v, visible, order)
     # The variance is that after one step: what the added parameters explain is not noise.
     cost_ratio = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poorly_determined(wider, at, cost_ratio * variance(problem, v), tilts)}
+    worse = {u.name for u in _poorly_determined(wider, at, cost_ratio * problem.variance(v), tilts)}
     if not visible & worse:
         return wider, at
     return None if visible <= worse else _with_added_parameters(problem, v, visible - worse, order)
@@ -423,7 +423,7 @@ def _with_added_parameters(
 
 def _largest_residual_sigma(problem: LeastSquares, v: Array) -> float:
     """Return the residual standard deviation of a coordinate at v, the largest of all sets [m]."""
-    return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
+    return float(np.sqrt(problem.variance(v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
 def _poorly_determined(

@@ -23,7 +23,7 @@ from casadical.identification.accuracy import (
 )
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, initial_sigmas
-from casadical.identification.prediction import covariance, covariance_of_all, redundancies, variance
+from casadical.identification.prediction import covariance, covariance_of_all, redundancies
 from casadical.identification.prior import Departure
 from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
@@ -477,7 +477,7 @@ class Identification(Result):
             (problem, solution, _), _ = solve_without_outliers(free, MAX_OUTLIER_ROUNDS, None)
         except InputError:  # relative measurements do not determine the frames
             return nothing
-        C = covariance(problem, solution.v, variance(problem, solution.v, trimmed=True))
+        C = covariance(problem, solution.v, problem.variance(solution.v, trimmed=True))
         return self.start.with_values(problem.values(solution.v)), problem.names, C
 
     def is_optimal(self) -> bool:

@@ -122,9 +122,8 @@ def test_parameters_that_show_themselves_at_the_optimum_are_added_alone(lengths,
     wider.cost = lambda v: 1.0
     monkeypatch.setattr(reduction, "_with_added_parameters", lambda p, v, more, order: added.append(more) or (wider, v))
     monkeypatch.setattr(reduction, "_poorly_determined", lambda *_: [])
-    monkeypatch.setattr(reduction, "variance", lambda *_: 1.0)
     unseen = [SimpleNamespace(name=name, reason=NO_EFFECT_REASON) for name in "ab"]
-    problem, names = SimpleNamespace(robot=None, weighed=False), ("a", "b", "c")
+    problem, names = SimpleNamespace(robot=None, weighed=False, variance=lambda v: 1.0), ("a", "b", "c")
     found = reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable=unseen), names)
     assert (found is None) is (not lengths)
     assert added == [{"a", "b"}, {"a"}][: 2 if len(lengths) == 1 else 1]
