@@ -447,7 +447,7 @@ def _problem(
     each = zip(seen.sets, lengths, strict=True)
     sheet = 0.0 if declared else min((m.datasheet * lengths[0] / own for m, own in each if m.datasheet), default=0.0)
     # Poses at equal readings are one stop, where several targets share stops.
-    stop, several = same_readings(seen.m.q), sum(name.startswith("tool_") for name in seen.m.conditions) > 1
+    stop, several = same_readings(seen.m.q), len(seen.m.target_names) > 1
     # Repeated poses count for at most 60 degrees of freedom, because poses that are measured one
     # after the other share slow errors.
     whole = Evidence(

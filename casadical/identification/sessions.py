@@ -17,17 +17,13 @@ from casadical.identification.least_squares import LeastSquares
 from casadical.identification.placement import place_frames
 from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import SESSION_PREFIX, Measurements
 from casadical.robot.robot import Robot
-
-# Prefix of the columns that state whether a pose belongs to a session: 1 if it does, else 0.
-SESSION_PREFIX = "session_"
 
 
 def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
     """Return the names of all sessions of the sets in order of appearance; () if none is stated."""
-    names = (c.removeprefix(SESSION_PREFIX) for m in sets for c in m.conditions if c.startswith(SESSION_PREFIX))
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys(name for m in sets for name in m.session_names))
 
 
 def split_by_session(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
@@ -37,7 +33,7 @@ def split_by_session(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """
     alone = []
     for m in sets:
-        flags = [flag for name in sessions_in([m]) if (flag := m.conditions[SESSION_PREFIX + name] > 0).any()]
+        flags = [flag for name in m.session_names if (flag := m.conditions[SESSION_PREFIX + name] > 0).any()]
         alone += [m[np.flatnonzero(flag)] for flag in flags] if len(flags) > 1 else [m]
     return tuple(alone)
 
@@ -55,7 +51,7 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
     if labels or not names:
         return robot, labels
     for m in sets:
-        if not any(c.startswith(SESSION_PREFIX) for c in m.conditions):
+        if not m.session_names:
             raise InputError(
                 f"{m.source}: says no session, and others do ({', '.join(names)}): give it a column 'session', or "
                 'session = "..." in its [[measurements]]'

@@ -46,6 +46,10 @@ class Noise:
 # Names of the sets of poses: identification, training of networks, choice among them, report.
 SETS = ("identify", "train", "choose", "report")
 
+# Prefixes of the columns that are 1 for poses at which a target was measured, or of a session, else 0.
+TARGET_PREFIX = "tool_"
+SESSION_PREFIX = "session_"
+
 # Largest difference of each joint's variable [rad or m] with which two poses count as the same.
 SAME_READING_TOLERANCE = 1e-6
 # Largest difference of each joint's variable [rad or m] between measurements at one pose: of
@@ -180,6 +184,16 @@ class Measurements(Shown):
         return arrays if self.noise is None else arrays | {"whitening": whitening(self.view, self.noise)}
 
     @property
+    def target_names(self) -> list[str]:
+        """Return the names of the measured targets, in the order in which they appear."""
+        return [name.removeprefix(TARGET_PREFIX) for name in self.conditions if name.startswith(TARGET_PREFIX)]
+
+    @property
+    def session_names(self) -> list[str]:
+        """Return the names of the sessions, in the order in which they appear."""
+        return [name.removeprefix(SESSION_PREFIX) for name in self.conditions if name.startswith(SESSION_PREFIX)]
+
+    @property
     def view(self) -> View:
         """Return what the camera saw; the poses must have positions and orientations."""
         seen = self.inverse() if self.camera == "in hand" else self
@@ -287,8 +301,8 @@ class Measurements(Shown):
         Raises InputError: impossible sizes, or a set without poses.
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
-        several = sum(name.startswith("tool_") for name in self.conditions) > 1
-        reading = same_readings(ends, STANDSTILL_TOLERANCE if several else SAME_READING_TOLERANCE)
+        tolerance = STANDSTILL_TOLERANCE if len(self.target_names) > 1 else SAME_READING_TOLERANCE
+        reading = same_readings(ends, tolerance)
         near, far = reading[: len(self)], reading[-len(self) :]
         counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
         edges = np.cumsum([0.0, *counts]).round().astype(int)

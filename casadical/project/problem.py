@@ -288,7 +288,7 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     measured = each_of(partial(_read, folder, data, robot, sets) for data in file.measurements)
     split: dict[str, list[Measurements]] = {}
     refuse_shared_rows([whole for whole, _ in measured])
-    named = any(name.startswith("session_") for whole, _ in measured for name in whole.conditions)
+    named = any(whole.session_names for whole, _ in measured)
     if "sessions" in file.model_fields_set and not tables and not named:
         raise InputError(
             f"{path}: sessions: has no effect, no table names a session; take it out, or name "

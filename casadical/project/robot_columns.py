@@ -12,7 +12,6 @@ from casadical.identification.arm_or_camera import evidence_of
 from casadical.identification.identification import identify
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import orientation_error
-from casadical.identification.sessions import sessions_in
 from casadical.measurements.camera_noise import Camera
 from casadical.measurements.columns import Columns
 from casadical.measurements.derived_columns import TIME_COLUMN
@@ -162,7 +161,7 @@ def with_target_positions(m: Measurements, robot: Robot) -> Measurements:
     Where the robot has a single target, a column `tool` that names one alone is removed, whatever
     the name. Raises InputError where the column names a target that the robot file does not have.
     """
-    measured = names_in(m)
+    measured = m.target_names
     target_names = [robot.tool_name, *(t.name for t in robot.targets)]
     if not robot.targets and len(measured) < 2:
         return replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")})
@@ -177,11 +176,6 @@ def with_target_positions(m: Measurements, robot: Robot) -> Measurements:
     return m
 
 
-def names_in(m: Measurements) -> list[str]:
-    """Return the names of the measured targets, in the order in which they appear."""
-    return [name.removeprefix("tool_") for name in m.conditions if name.startswith("tool_")]
-
-
 def some_rows(rows: Sequence[object]) -> str:
     """Return the first eight rows, separated by commas, with dots where there are more."""
     return ", ".join(map(str, rows[:8])) + (" ..." if len(rows) > 8 else "")
@@ -189,7 +183,7 @@ def some_rows(rows: Sequence[object]) -> str:
 
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
     """Check that a table names its target, if the robot has several. Raises InputError."""
-    if robot.targets and not names_in(m):
+    if robot.targets and not m.target_names:
         target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(
             f"{m.source}: the robot file has several targets, {target_names}, and the table does "
@@ -203,11 +197,11 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
 
     No fitted pose then determines its point, or its base and tool.
     """
-    fitted = {name for m in sets.get("identify", ()) for name in names_in(m) if m.conditions[f"tool_{name}"].any()}
+    fitted = {name for m in sets.get("identify", ()) for name in m.target_names if m.conditions[f"tool_{name}"].any()}
     faults = []
     for name, parts in sets.items():
         for m in parts:
-            for target in names_in(m):
+            for target in m.target_names:
                 rows = m.row[m.conditions[f"tool_{target}"] > 0]
                 if target not in fitted and len(rows):
                     listed = some_rows(rows.tolist())
@@ -217,9 +211,9 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
                         f"three poses or more, or leave the rows out (leave_out = [{listed}] in "
                         "problem.toml)"
                     )
-    inside = set(sessions_in(sets.get("identify", ())))
+    inside = {session for m in sets.get("identify", ()) for session in m.session_names}
     for name, parts in sets.items():
-        for session in sorted(set(sessions_in(parts)) - inside):
+        for session in sorted({session for m in parts for session in m.session_names} - inside):
             faults.append(
                 f"session {session!r} has poses of the set {name!r} only; none that is fitted "
                 "tells where its base and tool are: put some of them into the set 'identify'"
@@ -229,7 +223,7 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
 
 def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list[str]:
     """Return the targets of the robot file that no row names."""
-    seen = {name for parts in sets.values() for m in parts for name in names_in(m)}
+    seen = {name for parts in sets.values() for m in parts for name in m.target_names}
     return [name for name in (robot.tool_name, *(t.name for t in robot.targets)) if name and name not in seen]
 
 

@@ -20,7 +20,7 @@ from casadical.identification.placement import median_error, place_frames, rigid
 from casadical.identification.plausibility import check_against
 from casadical.measurements.arrangement import directions_turn
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings
-from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
+from casadical.project.robot_columns import refuse_nameless, some_rows
 from casadical.robot.robot import Robot
 
 # Distance of positions at equal readings [m] above which they are of different targets; it is well
@@ -85,7 +85,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
     robot : nominal robot
     m : measured poses
     """
-    if m.position is None or robot.targets or any(name.startswith("tool_") for name in m.conditions):
+    if m.position is None or robot.targets or m.target_names:
         return None
     poses = _poses(m)
     repeated = sum(len(rows) > 1 for rows, _ in poses)
@@ -340,7 +340,7 @@ def with_targets_of_rows(
     points_by_name = _points_of(robot)
     placed_sets, notes = [], []
     for m in sets:
-        points = {} if names_in(m) or m.position is None else _by_position(robot, m)
+        points = {} if m.target_names or m.position is None else _by_position(robot, m)
         if points:
             places = np.arange(len(m))
             logged = {f"tool_{name}": np.isin(places, own).astype(float) for name, (_, own) in points.items()}
@@ -350,7 +350,7 @@ def with_targets_of_rows(
             notes.append(f"{m.source}: no column names the targets; as they lie, {rows} rows")
         else:
             placed_sets.append(m)
-    names = [*dict.fromkeys(name for m in placed_sets for name in names_in(m))]
+    names = [*dict.fromkeys(name for m in placed_sets for name in m.target_names)]
     one = names[0] if names else robot.tool_name
     if len(names) < 2:
         placed_sets = [

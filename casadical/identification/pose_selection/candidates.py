@@ -24,7 +24,7 @@ from casadical.identification.pose_selection.workspace import Workspace
 from casadical.identification.prior import Prior
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.measurements import Measurements, Noise, unmeasured
+from casadical.measurements.measurements import SESSION_PREFIX, Measurements, Noise, unmeasured
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
@@ -32,8 +32,6 @@ from casadical.robot.robot import Robot
 _APPROACH = re.compile(r"approach\d+")
 # Column of candidates with the index, from 0, of the socket that holds the tool.
 SOCKET_COLUMN = "socket"
-# Prefix of the columns that are 1 for poses of a session, else 0.
-SESSION_PREFIX = "session_"
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,7 @@
 """The next poses to measure with the forecast beyond them, of positions, wires or sockets."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -159,14 +158,6 @@ class Places:
         """Return the candidate places in the measuring frame, shape (K, 3) [m]."""
         return usual_places(robot, self.kind) if self.candidates is None else self.candidates
 
-    def select(self, robot: Robot, **how: Any) -> Selection:
-        """Return the best selection of poses and places.
-
-        how : further arguments of `select_with_places`
-        """
-        places = self.candidates_for(robot)
-        return select_with_places(robot, kind=self.kind, places=places, count=self.count, surveyed=self.surveyed, **how)
-
 
 def plan(
     robot: Robot,
@@ -230,16 +221,19 @@ def plan(
         circumstances = replace(circumstances, payloads=tuple(mounted))
     common: dict[str, Any] = {"workspace": workspace, "free": free, "noise": noise, "seed": seed}
     known: dict[str, Any] = {"circumstances": circumstances, "measured": measured, "prior": prior}
-    chosen = None
+    at: dict[str, Any] = {}
+    if places is not None:
+        at = {"kind": places.kind, "count": places.count, "surveyed": places.surveyed}
+        at["places"] = places.candidates_for(robot)
+    chosen = instrument = None
     if n is not None:
         show("choosing poses")
-        choose: Callable[..., Selection] = partial(select_poses, among=None) if places is None else places.select
-        chosen = choose(robot, n=n, interest=[e.label for e in effects], min_distance=min_distance, **common, **known)
+        how = {"n": n, "interest": [e.label for e in effects], "min_distance": min_distance, **common, **known}
+        chosen = select_with_places(robot, **at, **how) if at else select_poses(robot, None, **how)
         chosen = chosen.ordered() if order else chosen
-    instrument = chosen.instrument if chosen else None
-    if places is not None and instrument is None:
-        how, where = common | {"surveyed": places.surveyed}, places.candidates_for(robot)
-        instrument = place_instrument(robot, places.kind, where, places.count, **how)
+        instrument = chosen.instrument
+    elif at:
+        instrument = place_instrument(robot, **at, **common)
     show("accuracy of further poses")
     total = (0 if measured is None else len(measured)) + (0 if chosen is None else len(chosen))
     most = total + (100 if n is None else max(20, total // 2))

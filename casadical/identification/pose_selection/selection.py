@@ -17,7 +17,6 @@ from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.reporting.result import Shown
 from casadical.core.statistics import TIE_TOLERANCE, first_of_best
 from casadical.identification.pose_selection.candidates import (
-    SESSION_PREFIX,
     SOCKET_COLUMN,
     Candidates,
     Circumstances,
@@ -29,7 +28,7 @@ from casadical.identification.pose_selection.candidates import (
 )
 from casadical.identification.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.identification.pose_selection.experimental_design import inverse
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import SESSION_PREFIX, Measurements
 from casadical.robot.robot import Robot
 
 # Number of parts of equal time into which a campaign is divided; poses that are planned for a

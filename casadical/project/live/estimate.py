@@ -20,9 +20,9 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.identification.pose_selection.candidates import scaled_jacobian
 from casadical.identification.pose_selection.instruments import without_base
-from casadical.identification.sessions import SESSION_PREFIX, place_sessions
+from casadical.identification.sessions import place_sessions
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import SESSION_PREFIX, Measurements
 from casadical.robot.robot import Robot
 
 # Minimum number of readings of an estimate; readings are judged by each other once there are more.
