@@ -260,18 +260,15 @@ def calibration_page(
     ]
     badges = ["synthetic data"] if problem.data == "synthetic" else []
     subtitle = f"{problem.robot.name}, {problem.origin}"
-    tiles = [*_tiles(accuracies)]
-    return Page("Calibration", problem.title, subtitle, sections, tiles, badges, problem_files(problem))
-
-
-def _tiles(accuracies: outcome.Accuracies) -> Iterator[Tile]:
-    """Yield the headline figures: mean error before and after, 95 % quantile and largest error."""
     method, before, after, held_out = outcome.judged_on(accuracies)
     poses = f"{after.n} held-out poses" if held_out else f"{after.n} poses, not held out"
-    yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
-    yield Tile(f"Mean error after {method}", mm(after.mean), "mm", poses)
-    yield Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm")
-    yield Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm")
+    tiles = [
+        Tile("Mean error before", mm(before.mean), "mm", outcome.before_in_words(problem, accuracies)),
+        Tile(f"Mean error after {method}", mm(after.mean), "mm", poses),
+        Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm"),
+        Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm"),
+    ]
+    return Page("Calibration", problem.title, subtitle, sections, tiles, badges, problem_files(problem))
 
 
 def _verdict(

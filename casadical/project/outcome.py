@@ -36,6 +36,12 @@ def judged_on(accuracies: Accuracies) -> tuple[str, Accuracy, Accuracy, bool]:
     return method, states[name]["placed"], states[name]["calibrated"], name.startswith("report")
 
 
+def before_in_words(problem: Problem, accuracies: Accuracies) -> str:
+    """Return what was fitted before; KM omits the compliance that a robot file declares."""
+    soft = any(j.compliance is not None for j in problem.robot.joints)
+    return f"{'rigid, ' if soft and [*accuracies][-1] == 'KM' else ''}base and tool fitted"
+
+
 def _judging_set(states: Iterable[str]) -> str:
     """Return the set by which a method is judged: one that was held out, else the first."""
     names = list(states)
@@ -90,8 +96,9 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
             continue
         states = last[name]
         turned = states["placed"].turn is not None
+        before = f"before, {before_in_words(problem, accuracies)}"
         # With the two columns of orientations the label has to be shorter.
-        rows = [("before, frames fitted" if turned else "before, base and tool fitted", states["placed"])]
+        rows = [(before.replace("base and tool", "frames") if turned else before, states["placed"])]
         # Nominal errors this many times larger than those with base and tool fitted only show that
         # the base was unknown.
         if states["nominal"].mean < 20 * states["placed"].mean:
@@ -317,6 +324,7 @@ def unused_columns(problem: Problem) -> dict[str, str]:
 # Name in the template calibration.j2 -> function that it calls.
 _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "judged_on": judged_on,
+    "before_in_words": before_in_words,
     "chance_of": chance_of,
     "poses_to_tell": poses_to_tell,
     "open_error": open_error,

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from casadical.identification.accuracy import Accuracy, errors, predicted, summa
 from casadical.measurements.measurements import unmeasured
 from casadical.project.acceptance.verification import promised_rms, verify
 from casadical.project.calibration import Calibration
-from casadical.project.outcome import report_blocks
+from casadical.project.outcome import before_in_words, report_blocks
 from casadical.robot.robot_file import read_robot, to_toml
 
 ROBOT = Path(__file__).parents[2] / "problems" / "planar" / "robot.toml"
@@ -83,7 +84,9 @@ def test_a_row_that_is_left_out_is_named_with_its_file(calibrated: Calibration) 
 
 
 def test_a_method_worse_than_the_before_of_the_table_is_named() -> None:
-    """KM starts from a rigid robot; the robot as given bends, and with base and tool fitted is better than KM's."""
+    """KM starts from a rigid robot, and says so; the robot as given bends, and with frames fitted is better."""
+    arm = SimpleNamespace(robot=read_robot(SPATIAL))
+    assert before_in_words(arm, {"KM": {}}) == f"rigid, {before_in_words(arm, {'SKCM': {}})}"
 
     def states(placed: float, calibrated: float) -> dict[str, Accuracy]:
         e = np.linspace(0.5, 1.5, 108)

@@ -186,9 +186,9 @@ def _plausible(
     # With a median error of up to 2 % of the reach the data do not contradict the nominal robot.
     if slips.explains or slips.before.error > 0.02 * robot.reach:
         return [slip_finding(slips, robot, standard, m)], slips
-    text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
+    text = f"{m.source}: the rigid nominal model, base and tool fitted, leaves {1e3 * slips.before.error:.3g} mm"
     fits = f"units, signs and zeros fit{', with each pose inverted' if m.inverted else ''}"
-    return [Finding("note", "units", f"{text} the data: {fits}")], None
+    return [Finding("note", "units", f"{text} (median, poses to fit): {fits}")], None
 
 
 def _data_findings(

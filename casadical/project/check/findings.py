@@ -80,7 +80,7 @@ def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) ->
     """
     before, best = slips.before, slips.best
     source, of_positions = m.source, m.position is not None
-    text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
+    text = f"{source}: with base and tool fitted the rigid nominal model is {1e3 * before.error:.4g} mm (median) from "
     text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
     if not slips.explains:
         text += "; no slip of unit, sign or zero explains it: check the units of its columns, then the robot file"
