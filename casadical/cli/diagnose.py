@@ -175,15 +175,12 @@ def diagnose(
         with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []),
         console,
     )
-    written = list(texts) if out else None
     if len(answers) > 1:
         tables = [a.campaign.tables[0] for a in answers]
         suggest(console, "to learn what changed between them", "compare", problem, *tables)
-    elif written is not None:
-        robot = next((path for path in written if path.name == "diagnosed.robot.toml"), None)
-        suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
     else:
-        tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns or ()))
+        robot = out / "diagnosed.robot.toml" if out else None
+        tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns or (), robot, file))
     if not details:
         console.print(
             "where it lies, how certain, what remains: --details, --out DIR or --report FILE.html",

@@ -124,8 +124,8 @@ class Cause:
 
     @property
     def of_instrument(self) -> bool:
-        """Return whether it is an error of the instrument (a drifting wire), not of the robot."""
-        return any(e.from_kind for e in self.effects)
+        """Return whether it is an error of instrument or target (a drifting wire), not of the robot."""
+        return any(e.of_measurement for e in self.effects)
 
 
 @dataclass(frozen=True, eq=False)

@@ -369,6 +369,11 @@ def resembles(d: Diagnosis) -> str:
     return "" if best in on_list or (best and ranking.probability[best] < 0.5) else best
 
 
+def is_rare(d: Diagnosis, label: str) -> bool:
+    """Return whether a label is that of an effect of the extended list."""
+    return any(c.label == label and c.name != "unknown" for c in d.case.candidates)
+
+
 def not_logged(d: Diagnosis) -> dict[str, str]:
     """Return the effects that could be judged, as text, by the columns that were not logged.
 
@@ -386,15 +391,6 @@ def missing_columns(d: Diagnosis) -> dict[str, tuple[str, ...]]:
     return columns_to_log(d.missing, d.case.m.conditions)
 
 
-def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
-    """Return the increase, 0 to 1, of the probability of the right decision by poses.
-
-    poses : table as of `next_poses`
-    """
-    before, after = discrimination_probability(d, poses)
-    return after - before
-
-
 # Folder of the Jinja templates of statements.
 _TEMPLATES = Path(__file__).parent
 # Values and functions, by the names under which the templates use them with the diagnosis.
@@ -405,7 +401,6 @@ _SAYS: dict[str, Any] = {
     "SET_CLAIM": SETTINGS.min_set,
     "MIN_GAIN": SETTINGS.min_decision_gain,
     "timed": lambda causes: any(depends_on_time(c.effects) for c in causes),
-    "rare": lambda d, label: any(c.label == label and c.name != "unknown" for c in d.case.candidates),
     "undeclared": lambda d: any(m.sigma is None for m in d.case.observations.sets),
     **{
         function.__name__: function
@@ -433,6 +428,7 @@ _SAYS: dict[str, Any] = {
             change,
             ambiguous_cycles,
             resembles,
+            is_rare,
             not_logged,
         )
     },

@@ -17,9 +17,10 @@ from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.laws.answer import Discovery
+from casadical.diagnosis.next_poses import discrimination_probability
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.statements import gain_of
+from casadical.diagnosis.statements import is_rare, resembles
 from casadical.diagnosis.text import as_json, brief, detailed, diagnosis_files
 from casadical.identification.pose_selection.workspace import Workspace, read_workspace
 from casadical.identification.prior import Prior
@@ -186,23 +187,45 @@ class CampaignDiagnosis(Result):
         """Return all results as text and tables (see `casadical.diagnosis.page_of`)."""
         return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._details_without_laws)]
 
-    def next_command(self, typed: Sequence[str], problem: Path, tables: Sequence[Path] = ()) -> Words:
-        """Return the command to run next: keep what was found, calibrate, or plan decisive poses.
+    def next_command(
+        self,
+        typed: Sequence[str],
+        problem: Path,
+        tables: Sequence[Path] = (),
+        robot: Path | None = None,
+        planned: Path | None = None,
+    ) -> Words:
+        """Return the command to run next: what may tell more, else keep what was found, or calibrate.
 
         typed : arguments of the command that made this diagnosis
         problem, tables : what was diagnosed, as it was given
+        robot, planned : files of the robot and of poses to measure that were written, if any
         """
-        d, poses, u = self.diagnosis, self.details.poses, self.details.unlisted
+        d, poses, u, found = self.diagnosis, self.details.poses, self.details.unlisted, self.details.laws
+        unknown, out = d.verdict == "unknown", () if robot else ("--out", "diagnosed")
+        if unknown and found and found.laws and "--laws" not in typed:
+            return next_step("to keep the law that was found", *typed, *out, "--laws")
+        if unknown and is_rare(d, resembles(d)) and "--effects" not in typed:
+            return next_step("to try rarer effects, too", *typed, "--effects", "extended")
+        if unknown or d.verdict == "ambiguous":
+            before, after = discrimination_probability(d, poses) if poses is not None and len(poses) else (0, 0)
+            if after - before >= SETTINGS.min_decision_gain and planned:
+                every = (*self.campaign.tables, planned, "--together")
+                return next_step("when these poses were measured, too", "diagnose", problem, *every)
+            if after - before >= SETTINGS.min_decision_gain:
+                return next_step("for poses that tell more", *typed, "--next", "next.csv")
+        if out and unknown and u and u.shrink_interval[0] > 0:
+            return next_step("to keep what was found", *typed, *out, "--unlisted")
+        if unknown and not d.account.anchored:
+            return next_step("with ten of these poses measured again, in the same table", *typed)
+        if robot:
+            return next_step("when it was measured again", "compare", robot, "LATER.csv")
         if any(cause.effects for cause in d.causes):
-            return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
+            return next_step("to keep the robot with its causes", *typed, *out)
         if d.verdict == "none":
             words = "to keep the calibrated robot"
             return next_step(words, "calibrate", problem, *tables, "--out", "results")
-        more = poses is not None and len(poses) and gain_of(d, poses) >= SETTINGS.min_decision_gain
-        if more and "--next" not in typed:
-            return next_step("for poses that tell more", *typed, "--next", "next.csv")
-        unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()
-        return next_step("to keep what was found", *typed, "--out", "diagnosed", *unlisted)
+        return next_step("to keep what was found", *typed, *out)
 
     def figures(self) -> dict[str, Figure]:
         """Return every figure by name (see `diagnosis_figures`)."""

@@ -113,13 +113,31 @@ def test_out_is_whole_or_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdict", "least", "unlisted"), [("unknown", 0.1, True), ("unknown", -0.1, False), ("unsure", 0.1, False)]
+    ("verdict", "least", "causes", "given", "command"),
+    [
+        ("unknown", 0.1, (), {}, "arm --out diagnosed --unlisted"),
+        ("unknown", -0.1, (), {}, "arm --out diagnosed"),
+        ("ambiguous", 0.1, (), {}, "arm --out diagnosed"),
+        ("unknown", -0.1, ("lag",), {"anchored": False}, "arm"),  # measured again
+        ("unknown", 0.1, (), {"law": True}, "arm --out diagnosed --laws"),
+        ("unknown", 0.1, ("lag",), {"robot": Path("r.toml"), "anchored": False}, "arm"),
+        ("unknown", 0.1, ("lag",), {"gain": 0.5}, "arm --next next.csv"),
+        ("unknown", 0.1, ("lag",), {"gain": 0.5, "planned": "n.csv"}, "arm arm/poses.csv n.csv --together"),
+        ("explained", 0.1, ("lag",), {"gain": 0.5, "anchored": False}, "arm --out diagnosed"),
+    ],
 )
-def test_curves_are_kept_where_they_shrink_an_unknown_gap(verdict, least, unlisted) -> None:
-    details = SimpleNamespace(poses=None, unlisted=SimpleNamespace(shrink_interval=(least, 0.5)))
-    found = SimpleNamespace(diagnosis=SimpleNamespace(causes=(), verdict=verdict), details=details)
-    command = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], Path("arm")).code
-    assert command == "casadical diagnose arm --out diagnosed" + " --unlisted" * unlisted
+def test_the_next_command_is_what_helps(verdict, least, causes, given, command, monkeypatch) -> None:
+    laws = SimpleNamespace(laws=("law",)) if given.pop("law", "") else None
+    details = SimpleNamespace(poses=[1], laws=laws, unlisted=SimpleNamespace(shrink_interval=(least, 0.5)))
+    account, gain = SimpleNamespace(anchored=given.pop("anchored", True)), given.pop("gain", 0.0)
+    monkeypatch.setattr("casadical.project.diagnosis.discrimination_probability", lambda *_: (0.4, 0.4 + gain))
+    d = {"causes": [SimpleNamespace(effects=causes)] * len(causes), "verdict": verdict}
+    empty = SimpleNamespace(order=(), probability={})
+    d |= {"account": account, "rankings": [empty], "case": SimpleNamespace(candidates=())}
+    campaign = SimpleNamespace(tables=(Path("arm/poses.csv"),))
+    found = SimpleNamespace(diagnosis=SimpleNamespace(**d), details=details, campaign=campaign)
+    said = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], Path("arm"), **given).code
+    assert said == f"casadical diagnose {command}"
 
 
 @pytest.fixture

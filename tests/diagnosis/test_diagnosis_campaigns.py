@@ -145,6 +145,7 @@ def test_missing_columns_are_reported_and_never_fatal() -> None:
     assert {"thermal_growth", *(f"thermal_zero_drift@{j}" for j in range(1, 7))} == set(d.missing)
     assert all(c.startswith("warmth") for c in d.missing["thermal_growth"])
     assert named(d) == {("frame_drift", None)}  # the order of the poses still tells
+    assert "not the robot, shows frame_drift: do not compensate it" in " ".join(page_of(d).split())
     bare = replace(simulated("kr210", 13, drift), conditions={})
     d = diagnose(robot("kr210"), bare, ["backlash@2", "thermal_growth", "payload_error", "frame_drift"])
     assert d.verdict in VERDICTS
