@@ -158,7 +158,7 @@ def test_an_explained_gap_of_which_much_is_left_says_so_first(fixed: Diagnosis) 
         return " ".join(page_of(d).partition("\nGAP")[0].split())
 
     named = "backlash@2 and thermal_zero_drift@3"
-    rest = "yet 0.038 of 0.124 mm rms beyond the noise (31 %) has no named cause"
+    rest = "yet 0.038 of 0.124 mm rms beyond the noise (31 % of the rms) has no named cause"
     assert first() == f"VERDICT explained in part only: {named}; {rest}"
     none = first(unknown_rest=0.01)
     assert none == f"VERDICT explained: {named}; 0.127 -> 0.046 mm, noise alone would leave 0.021"
