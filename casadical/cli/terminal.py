@@ -44,6 +44,7 @@ def refusal(error: object) -> None:
     """
     # Number of rows of a table that the message about a fault names.
     max_rows_named = 6
+    numbering = "rows numbered as in a spreadsheet: line 1 is row 1"
     if isinstance(error, FaultsError) and len(error.faults) > 1:
         rows = []
         for f in error.faults[:MAX_FAULTS_SHOWN]:
@@ -51,7 +52,7 @@ def refusal(error: object) -> None:
             numbers += " ..." * (len(f.rows) > max_rows_named)
             rows.append((f.source, numbers, f.column, f.value, f.allowed or f.wrong, f.remedy))
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
-        title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
+        title = f"casadical: {len(error.faults)} faults of the input; of each the worst value first; {numbering}"
         width = None if sys.stderr.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL
         Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
         room = max(0, MAX_FAULTS_SHOWN - len(error.faults))
@@ -60,6 +61,7 @@ def refusal(error: object) -> None:
         lines += [f"and {more} more"] if more else []
     else:
         lines = f"casadical: {error}".splitlines()
+        lines += [f"({numbering})"] if re.search(r": row \d", str(error)) else []
     if sys.stderr.isatty():
         width = shutil.get_terminal_size().columns
         lines = [part for line in lines for part in textwrap.wrap(line, width, break_long_words=False) or [""]]

@@ -472,7 +472,7 @@ def _false(user: User, said: str, first: int) -> list[str]:
         found.append(f"zeros of joints {sorted(zeros)} said to be off")
     planted = {first + k for k in (7, 21)} if "rows" in user.slips else set()
     planted |= {user.slips["typed"]} if "typed" in user.slips else set()
-    out = re.search(r"Left out as outliers: rows? ([^.]*)\.?", words)
+    out = re.search(r"Left out as outliers[^:]*: rows? ([^.]*)\.?", words)
     rows = {int(r) for r in re.findall(r"(\d+) \(", out[1])} if out else set()
     named = set(re.findall(r"row (\d+) \(", words.partition("Held-out rows that the fit")[2]))
     if "typed" in user.slips and str(user.slips["typed"]) not in named:

@@ -132,7 +132,7 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
     order = [k for k in np.argsort(-e) if far[k]]
     rows = some_rows([f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order])
     text = (
-        f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} "
+        f"{m.source}: spreadsheet rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} "
         "mm; calibrate leaves out those that its fit does not explain, and names them and those "
         "that are held out; the accuracy to expect is without them"
     )
