@@ -161,6 +161,8 @@ def understand(
     # Only kinds that determine the scale count: a column "point" alone names touched points, but
     # together with positions it may name the points of a tracker.
     seen = {each.name for each in kinds().values() if each.has_scale and each.matches(ours)}
+    if not all({f"{c}_mm", f"{c}_m"} & ours for c in "xyz") and groups_of(headings, "position", "xyz"):
+        seen -= {"position", "position_covariance", "pose"}  # one axis in another unit: z_cm
     columns: list[Understood] = []
     questions: list[Question] = []
 

@@ -179,6 +179,14 @@ def test_angles_are_read_unless_positions_alone_are_declared(kind: str | None, t
     assert any(c.source.name == "Roll [deg]" for way in ways for c in way) is turned
 
 
+def test_one_axis_in_another_unit_is_read(tmp_path: Path) -> None:
+    rows = "\n".join(f"{10 * k},500,{7 * k},{k}" for k in range(8))
+    (tmp_path / "a.csv").write_text(f"q1_deg,x_mm,y_mm,z_cm\n{rows}\n")
+    sources = understand(read_table(tmp_path / "a.csv"), ["revolute"]).sources
+    assert sources["z_mm"] == Source("z_cm", 10.0)
+    assert sources["x_mm"] == Source("x_mm")
+
+
 def test_a_length_of_a_wire_is_what_was_measured(tmp_path: Path) -> None:
     rows = "\n".join(f"{10 * k},{500 + 7 * k}" for k in range(8))
     (tmp_path / "a.csv").write_text(f"J1 [deg],Distance [mm]\n{rows}\n")
