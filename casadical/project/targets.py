@@ -251,7 +251,7 @@ class WrongNames:
         first, last = self.row[wrong[0]], self.row[wrong[-1]]
         return (
             f"{source}: column 'tool' names the wrong target from row {first} to row {last}: "
-            f"{'; '.join(texts)}; correct the names, or casadical check --repair writes them, as "
+            f"{'; '.join(texts)}; correct the names, or check --repair of a folder writes them, as "
             "`tools` in problem.toml"
         )
 

@@ -244,7 +244,7 @@ def _reading_findings(robot: Robot, m: Measurements) -> tuple[list[Finding], dic
         figures = f"calibrated by them {1e3 * by_them:.3g} mm remain (median), by {q1} and on {1e3 * own:.3g} mm"
         if by_them < own:
             line = f'columns = {{ {q1} = "{names[0]}", ... }} for every joint'
-            how = f"take them: {line}, in problem.toml (check --repair writes it)"
+            how = f"take them: {line}, in problem.toml (as check --repair of a folder does)"
             findings.append(Finding("warning", "readings", f"{first}: {figures}; {how}"))
         else:
             findings.append(Finding("note", "readings", f"{first}: {figures}, which are taken"))

@@ -68,7 +68,7 @@ def target_findings(targets: Targets | None, wrong: WrongNames | None, source: s
     if targets.which is None:
         more = "which row is which is not known before the nominal model fits the middle of the targets"
     else:
-        more = "casadical check --repair writes them, as `tools` in problem.toml and [[tool]]"
+        more = "they belong into `tools` of problem.toml and [[tool]], where check --repair of a folder writes them"
     return [Finding("error", "targets", f"{text}; {more}")]
 
 
@@ -89,7 +89,7 @@ def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) ->
     for rival in slips.rivals:
         text += f". Rival, {error_in_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
     mirrored = f". But {MIRROR_WARNING}" if best.mirrored else "" if of_positions else f". {LENGTHS_MIRROR_WARNING}"
-    return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
+    return Finding("error", "units", f"{text}{mirrored}")
 
 
 def data_findings(robot: Robot, m: Measurements, table: Measurements, *, repeated_readings: bool) -> list[Finding]:

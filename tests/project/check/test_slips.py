@@ -97,6 +97,7 @@ def test_slips_are_found_together_and_repaired(slip, tmp_path):
     said = " ".join(f.text for f in found.findings if f.level == "error")
     for words in CASES[slip]:
         assert words in said
+    assert "--repair" not in said  # of tables beside the folder nothing is repaired
     assert [step.code for step in found.next] == [f"casadical check {folder} --repair"]
     before = (folder / "poses.csv").read_bytes()
     shown = repaired(found)
