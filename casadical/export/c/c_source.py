@@ -244,7 +244,7 @@ def _values(program: TapeProgram) -> dict[str, str]:
     for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
         degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"
         box += f" *   q[{i}]  {low:.9g} to {high:.9g}{degrees}\n"
-    lines = [" Notes of the robot file:"]
+    lines = [" Notes on the model:"]
     for note in command.notes if command else ():  # which cannot terminate the comment
         safe = note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
         lines += wrap(safe, 110, initial_indent="  - ", subsequent_indent="    ")

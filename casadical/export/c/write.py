@@ -324,7 +324,7 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
 
 
 def _manifest(program: TapeProgram, blobs: Mapping[str, bytes], made: Export) -> bytes:
-    """Return the content of manifest.json: hashes, comparisons, figures and limits."""
+    """Return the content of manifest.json: hashes, comparisons, figures, limits, notes."""
     alone = None if program.command else program.network
     content = {
         "written_by": "casadical",
@@ -339,5 +339,6 @@ def _manifest(program: TapeProgram, blobs: Mapping[str, bytes], made: Export) ->
         "figures": made.figures,
         "operations": made.operations.count,
         "limits": vars(program.command.limits) if program.command else {},
+        "notes": program.command.notes if program.command else (),
     }
     return (json.dumps(content, indent=2) + "\n").encode()

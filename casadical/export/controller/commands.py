@@ -152,18 +152,17 @@ def export_c(
 
 
 def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[str]:
-    """Return sentences on omissions, valid joint range, payload, frame and times of a command."""
-    mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
+    """Return sentences on omissions, joint range, payload, frame and times of a command."""
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
     if robot.counts_otherwise:
         lines.append(f"joints in and out are the controller's readings J; of the robot file {robot.readings_in_words}")
-    lines += measured_range(robot)
+    lines += measured_range(_with_payload(robot, sources.payload_kg))
     if robot.gravity_frame == "logged":
         lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
     return [
         *lines,
-        f"payload: {mass}; tool: {sources.tool}; positions in the robot's own base frame",
+        f"tool: {sources.tool}; positions in the robot's own base frame",
         f"cycle {1e3 * limits.cycle_s:g} ms, rate {limits.rate_rad_s:g} rad/s, ramp "
         f"{limits.ramp_s:g} s: switched on in {limits.ramp_s / limits.cycle_s:.0f} calls of the "
         "step function",
@@ -220,7 +219,7 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
         freedom=freedom,
         notes=(
             *real.notes,
-            *measured_range(robot_of(sources.robot)),
+            *measured_range(_with_payload(robot_of(sources.robot), sources.payload_kg)),
             *[counted] * (network is not None and real.counts_otherwise),
         ),
     )
@@ -328,9 +327,9 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
-    """Return a tuple of one sentence on the joint ranges [deg or mm] of the calibration's poses.
+    """Return sentences on the payload that the model has, and on the poses that it was learnt from.
 
-    The ranges are the controller's readings. The tuple is empty if they are unknown.
+    Their joint ranges [deg or mm] are the controller's readings, if they are known.
     """
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     if len(ranges):
@@ -342,7 +341,14 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
         for i, ((low, high), (factor, unit)) in enumerate(zip(ranges, factors, strict=False), 1)
     ]
     text = f"the model was learnt from readings of joint {', '.join(spans)}; elsewhere it is extrapolated"
-    return (text,) if spans else ()
+    load, logged = robot.payload, (robot.knowledge.conditions if robot.knowledge else {}).get("payload_kg")
+    payload = "payload in the model: none; it holds for what the flange carried when it was measured"
+    if load:
+        at = ", ".join(f"{1e3 * c:g}" for c in load.com)
+        payload = f"payload in the model: {load.mass:g} kg, mass centre {at} mm in the last link's frame"
+        payload += f"; learnt with {logged[0]:g} to {logged[1]:g} kg" if logged else ""
+    soft = robot.effects or any(j.compliance for j in robot.joints)
+    return (*[text] * bool(spans), *[payload] * bool(soft))
 
 
 def robot_of(source: Path | Robot) -> Robot:

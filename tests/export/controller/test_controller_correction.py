@@ -177,6 +177,7 @@ def test_without_the_orientation_the_joints_change_by_the_least(files):
 def test_another_payload_bends_the_arm_otherwise(files):
     sources = Sources(files / "hh800.toml", nominal_path("hh800"), payload_kg=0.0)
     robot = read_robot(sources.robot)
+    assert command_of(sources).notes[-1].startswith("payload in the model: 0 kg, mass centre ")
     q = poses(robot, 200)
     wanted = positions(rigid("hh800", tool=robot.tool), q)
     empty, fine, moved = corrected_positions("hh800", sources, q, payload_kg=0.0)
