@@ -180,7 +180,7 @@ def diagnose(
         suggest(console, "to learn what changed between them", "compare", problem, *tables)
     else:
         robot = out / "diagnosed.robot.toml" if out else None
-        tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns or (), robot, file))
+        tell(console, answers[0].next_command(sys.argv[1:], robot, file))
     if not details:
         console.print(
             "where it lies, how certain, what remains: --details, --out DIR or --report FILE.html",

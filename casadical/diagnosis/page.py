@@ -31,12 +31,10 @@ from casadical.effects.plugins import signature_of
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import (
     banded,
-    correlated,
     fit_figures,
     intervals,
     parameter_figures,
     parameter_tables,
-    unidentifiable_table,
 )
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
@@ -61,7 +59,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
     sections = [
         Section(
             "Verdict",
-            [*_said(said, "VERDICT", "PRIOR", "GAP", "NOISE", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")],
+            [*_said(said, "VERDICT", "CHECK", "PRIOR", "GAP", "NOISE", "ASSUMED", "GRAVITY", "UNKNOWN", "LAW", "OUT")],
         ),
         Section("Errors before and after", [figures["gap"], *layered, _errors(d), *_said(said, "AFTER")]),
         Section("Error of each pose", [figures["errors"]]),
@@ -75,7 +73,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
             [
                 *_said(said, "WHICH"),
                 *_causes(rows),
-                *_said(said, "SET"),
+                *_said(said, "SET", "MORE"),
                 *figures_named(figures, "shrink"),
                 *figures_named(figures, "causes"),
             ],
@@ -84,7 +82,18 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
         *([more.laws.section()] if more.laws else []),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", replayed),
-        Section("Parameters of the base model", [*_parameters(d, figures_named(figures, "parameters"))]),
+        Section(
+            "Parameters of the base model",
+            [
+                Words(
+                    "With priors from the robot file, outliers excluded, and without the causes. "
+                    "Bars are 95 % intervals. Base and tool frames are in the table only.",
+                    "note",
+                ),
+                *figures_named(figures, "parameters"),
+                *parameter_tables(d.identification, whole=True),
+            ],
+        ),
         Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section("What to measure next", [*_next(said, more.poses)]),
     ]
@@ -162,19 +171,6 @@ def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
         yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
 
 
-def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
-    """Yield figures and tables of the base model's parameters."""
-    yield Words(
-        "With priors from the robot file, outliers excluded, and without the causes. Bars are 95 % intervals. Base "
-        "and tool frames are in the table only.",
-        "note",
-    )
-    yield from figures
-    yield from parameter_tables(d.identification, whole=True)
-    yield unidentifiable_table(d.identification)
-    yield from correlated(d.identification)
-
-
 def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Block]:
     """Yield statements and table of the next poses, or that none are needed; nothing for None."""
     if poses is None:
@@ -227,12 +223,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     yield gap_course(d, more.networks or (), floor)
     hint = "Poses are judged by fits to others, without outliers. Click a name in the legend to show or hide it."
     yield errors_by_pose(d.held_out, caption=hint, floor=floor)
-    caption = (
-        "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured "
-        "point in the direction of the error (measured less computed), after a fit to all poses, longer than it by the "
-        "factor in the legend."
-    )
-    yield workspace(d.fitted, d.identification.robot, caption)
+    yield workspace(d.fitted, d.identification.robot, "After a fit to all poses.")
     if more.where:
         yield from where_figures(more.where)
     if more.curves:

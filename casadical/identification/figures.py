@@ -268,7 +268,8 @@ def fit_quality(result: Identification) -> Words:
 def parameter_tables(result: Identification, whole: bool = False) -> list[Table | Words]:
     """Return the table of nominal value, estimate, standard error and 95 % interval, with notes.
 
-    Parameters at a bound are bold.
+    Parameters at a bound are bold. A table of those that are not identifiable, with reasons, and
+    the pairs whose absolute correlation exceeds 0.95 follow.
 
     whole : True gives a folded table that has the fixed parameters too, in grey; False the
         identified ones alone
@@ -298,7 +299,16 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     for effect in (e for e in result.start.effects if e.summary):  # too many parameters to be shown
         text = ", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in effect.summary)
         notes.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
-    return [table, *notes]
+    if whole and result.at_bounds:
+        remedy = "Widen the bounds or doubt the model; no interval can be given."
+        notes.append(Words(f"At a bound: {', '.join(result.at_bounds)}. {remedy}", "warning"))
+    fixed = result.shown[result.shown["status"] == "not identifiable"][["name", "reason"]]
+    rows = [*fixed.itertuples(index=False, name=None)]
+    why = Table("Not identifiable: held at nominal", ("parameter", "why"), rows)
+    pairs = _pairs(result, 0.95)
+    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:8]) + " ..." * (len(pairs) > 8)
+    correlated = [Words(f"Correlated above 0.95: {text}")] if text else []
+    return [table, *notes, why if rows else Words("Every parameter was identified."), *correlated]
 
 
 def _stiffness_words(result: Identification) -> list[Words]:
@@ -328,21 +338,6 @@ def stiffness(compliance: float, error: float) -> str:
     if compliance <= 1.96 * error:
         return f"above {1e6 / (compliance + 1.96 * error):.2g} (rigid is possible)"
     return f"{1e6 / compliance:.3g}"
-
-
-def unidentifiable_table(result: Identification) -> Table | Words:
-    """Return the table of the parameters that are not identifiable, with reasons, or a sentence."""
-    rows = [(r["name"], r["reason"]) for r in result.shown.to_dict("records") if r["status"] == "not identifiable"]
-    if not rows:
-        return Words("Every parameter was identified.")
-    return Table("Not identifiable: held at nominal", ("parameter", "why"), rows)
-
-
-def correlated(result: Identification) -> list[Words]:
-    """Return a sentence with the pairs whose absolute correlation exceeds 0.95; [] without any."""
-    pairs = _pairs(result, 0.95)
-    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:8])
-    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > 8 else ""))] if text else []
 
 
 def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:

@@ -236,14 +236,20 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
     )
 
 
-def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") -> Figure:
+def workspace(poses: PoseErrors, robot: Robot | None = None, more: str = "") -> Figure:
     """Return the 3D figure of the measured points with each model's error vectors.
 
     Points and vectors are in the measuring frame [m]. Each model's vectors are enlarged by its own
     factor, which the legend states; models with a note have none. Measured positions are required.
 
     robot : drawn as a skeleton at one of the poses; None: not drawn
+    more : what the caption says in addition
     """
+    caption = (
+        "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs "
+        "from the measured point in the direction of the error (measured less computed), longer "
+        f"than it by the factor in the legend. {more}"
+    )
     some = poses.thinned(500)
     assert some.position is not None
     # Initially the last model that is no network is drawn.
@@ -262,7 +268,8 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
         )  # as the first view shows it
         points = skeleton(robot, some.q[from_the_side])
         series.append(Series("linked", **_xyz(points), name="robot, at one pose", colour="grey", width=9, size=4.5))
-    return Figure("workspace", f"{poses.words}: error vectors", series, height=560, caption=caption)
+    title = f"{poses.words}: error vectors"
+    return Figure("workspace", title, series, height=560, caption=caption.rstrip())
 
 
 def image_plane(m: Measurements, robots: Mapping[str, Robot], caption: str = "") -> Figure:

@@ -20,7 +20,7 @@ from casadical.core.reporting.plain import Key, plain
 from casadical.core.reporting.result import Result, html, plain_text
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.arm_or_camera import ArmOrCamera, arm_or_camera
-from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
+from casadical.identification.figures import fit_quality, parameter_tables
 from casadical.identification.identification import (
     AnyPriors,
     calibrated,
@@ -196,8 +196,6 @@ class Calibration(Result):
             *(network_tables(networks) if networks else []),
             *paper_tables(problem.paper, self.accuracies, networks),
             *parameter_tables(last),
-            unidentifiable_table(last),
-            *correlated(last),
         ]
         return outcome.report_blocks(
             problem,

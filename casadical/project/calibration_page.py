@@ -12,14 +12,7 @@ from casadical.compensator.trainers.registry import network_methods
 from casadical.core.reporting.blocks import Block, Page, Section, Tile, Words, figures_named, mm
 from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.identification.accuracy import errors, residual_mm
-from casadical.identification.figures import (
-    correlated,
-    fit_figures,
-    fit_quality,
-    parameter_figures,
-    parameter_tables,
-    unidentifiable_table,
-)
+from casadical.identification.figures import fit_figures, fit_quality, parameter_figures, parameter_tables
 from casadical.identification.pose_errors import (
     SET_TITLES,
     ModelErrors,
@@ -154,13 +147,8 @@ def calibration_figures(
             of_set, f"distribution/{name}", "The farther left, the better; grey lines at 50 and 95 %."
         )
     spatial = next((p for p in poses.values() if p.position is not None), None)
-    workspace_caption = (
-        "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs "
-        "from the measured point in the direction of the error (measured less computed), longer "
-        "than it by the factor in the legend."
-    )
     if spatial is not None:
-        yield workspace(spatial, last.robot, workspace_caption)
+        yield workspace(spatial, last.robot)
     if (seen := last.problem.sets[0]).noise:
         robots = {"before": last.placed, **{method: r.robot for method, r in results.items()}}
         yield image_plane(seen, robots, "Of the poses that identified. Errors of depth are in the tooltips.")
@@ -250,7 +238,14 @@ def calibration_page(
         Section(
             "Which causes", [Words(diagnosis_note, code=f"casadical diagnose {problem.folder} {diagnosis_arguments}")]
         ),
-        Section("Parameters", [*_parameters(figures_named(figures, "parameters"), last)]),
+        Section(
+            "Parameters",
+            [
+                Words(f"Of {last.method}. Bars are 95 % intervals. Base and tool frames: table only.", "note"),
+                *figures_named(figures, "parameters"),
+                *parameter_tables(last, whole=True),
+            ],
+        ),
         Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section(
             "Training of the networks",
@@ -262,8 +257,9 @@ def calibration_page(
     subtitle = f"{problem.robot.name}, {problem.origin}"
     method, before, after, held_out = outcome.judged_on(accuracies)
     poses = f"{after.n} held-out poses" if held_out else f"{after.n} poses, not held out"
+    fitted = outcome.before_in_words(problem, accuracies)
     tiles = [
-        Tile("Mean error before", mm(before.mean), "mm", outcome.before_in_words(problem, accuracies)),
+        Tile("Mean error before", mm(before.mean), "mm", fitted),
         Tile(f"Mean error after {method}", mm(after.mean), "mm", poses),
         Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm"),
         Tile("Largest error", mm(after.max), "mm", f"{method}; before {mm(before.max)} mm"),
@@ -296,18 +292,6 @@ def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]
     poses = "the poses" if len(result.measurements[0]) <= most else f"{most} of the poses"
     yield Words(f"Of what {result.method} leaves at {poses} it was identified from. Bars are 95 % intervals.", "note")
     yield from figures
-
-
-def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:
-    """Yield figures and tables of the parameters: identified, at bounds, fixed, correlated."""
-    yield Words(f"Of {result.method}. Bars are 95 % intervals. Base and tool frames are in the table only.", "note")
-    yield from figures
-    yield from parameter_tables(result, whole=True)
-    if result.at_bounds:
-        bounds = ", ".join(result.at_bounds)
-        yield Words(f"At a bound: {bounds}. Widen the bounds or doubt the model; no interval can be given.", "warning")
-    yield unidentifiable_table(result)
-    yield from correlated(result)
 
 
 def _next(problem: Problem, result: Identification) -> Iterator[Words]:

@@ -187,34 +187,26 @@ class CampaignDiagnosis(Result):
         """Return all results as text and tables (see `casadical.diagnosis.page_of`)."""
         return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._details_without_laws)]
 
-    def next_command(
-        self,
-        typed: Sequence[str],
-        problem: Path,
-        tables: Sequence[Path] = (),
-        robot: Path | None = None,
-        planned: Path | None = None,
-    ) -> Words:
-        """Return the command to run next: what may tell more, else keep what was found, or calibrate.
+    def next_command(self, typed: Sequence[str], robot: Path | None = None, planned: Path | None = None) -> Words:
+        """Return the command to run next: what may tell more, else to keep what was found.
 
         typed : arguments of the command that made this diagnosis
-        problem, tables : what was diagnosed, as it was given
         robot, planned : files of the robot and of poses to measure that were written, if any
         """
-        d, poses, u, found = self.diagnosis, self.details.poses, self.details.unlisted, self.details.laws
+        d, poses, u = self.diagnosis, self.details.poses, self.details.unlisted
         unknown, out = d.verdict == "unknown", () if robot else ("--out", "diagnosed")
-        if unknown and found and found.laws and "--laws" not in typed:
+        if unknown and (found := self.details.laws) and found.laws and "--laws" not in typed:
             return next_step("to keep the law that was found", *typed, *out, "--laws")
         if unknown and is_rare(d, resembles(d)) and "--effects" not in typed:
             return next_step("to try rarer effects, too", *typed, "--effects", "extended")
-        if unknown or d.verdict == "ambiguous":
-            before, after = discrimination_probability(d, poses) if poses is not None and len(poses) else (0, 0)
+        if d.verdict in ("unknown", "ambiguous") and poses is not None and len(poses):
+            before, after = discrimination_probability(d, poses)
             if after - before >= SETTINGS.min_decision_gain and planned:
-                every = (*self.campaign.tables, planned, "--together")
-                return next_step("when these poses were measured, too", "diagnose", problem, *every)
+                every = (self.campaign.folder, *self.campaign.tables, planned, "--together")
+                return next_step("when these poses were measured, too", "diagnose", *every)
             if after - before >= SETTINGS.min_decision_gain:
                 return next_step("for poses that tell more", *typed, "--next", "next.csv")
-        if out and unknown and u and u.shrink_interval[0] > 0:
+        if unknown and u and u.shrink_interval[0] > 0 and "--unlisted" not in typed:
             return next_step("to keep what was found", *typed, *out, "--unlisted")
         if unknown and not d.account.anchored:
             return next_step("with ten of these poses measured again, in the same table", *typed)
@@ -223,8 +215,8 @@ class CampaignDiagnosis(Result):
         if any(cause.effects for cause in d.causes):
             return next_step("to keep the robot with its causes", *typed, *out)
         if d.verdict == "none":
-            words = "to keep the calibrated robot"
-            return next_step(words, "calibrate", problem, *tables, "--out", "results")
+            own = (self.campaign.folder, *(t for t in self.campaign.tables if str(t) in typed))
+            return next_step("to keep the calibrated robot", "calibrate", *own, "--out", "results")
         return next_step("to keep what was found", *typed, *out)
 
     def figures(self) -> dict[str, Figure]:

@@ -113,31 +113,28 @@ def test_out_is_whole_or_not_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verdict", "least", "causes", "given", "command"),
+    ("command", "verdict", "given"),
     [
-        ("unknown", 0.1, (), {}, "arm --out diagnosed --unlisted"),
-        ("unknown", -0.1, (), {}, "arm --out diagnosed"),
-        ("ambiguous", 0.1, (), {}, "arm --out diagnosed"),
-        ("unknown", -0.1, ("lag",), {"anchored": False}, "arm"),  # measured again
-        ("unknown", 0.1, (), {"law": True}, "arm --out diagnosed --laws"),
-        ("unknown", 0.1, ("lag",), {"robot": Path("r.toml"), "anchored": False}, "arm"),
-        ("unknown", 0.1, ("lag",), {"gain": 0.5}, "arm --next next.csv"),
-        ("unknown", 0.1, ("lag",), {"gain": 0.5, "planned": "n.csv"}, "arm arm/poses.csv n.csv --together"),
-        ("explained", 0.1, ("lag",), {"gain": 0.5, "anchored": False}, "arm --out diagnosed"),
+        (" --out diagnosed --unlisted", "unknown", {"shrink": 0.1}),
+        (" --out diagnosed", "unknown", {}),
+        (" --out diagnosed", "ambiguous", {"shrink": 0.1}),
+        ("", "unknown", {"anchored": False, "effects": ("lag",)}),  # with poses measured again
+        (" --out diagnosed --laws", "unknown", {"laws": ("law",), "gain": 0.5}),
+        (" --next next.csv", "unknown", {"gain": 0.5, "shrink": 0.1}),
+        (" arm/poses.csv n.csv --together", "ambiguous", {"gain": 0.5, "planned": "n.csv"}),
+        (" --out diagnosed", "explained", {"gain": 0.5, "anchored": False, "effects": ("lag",)}),
     ],
 )
-def test_the_next_command_is_what_helps(verdict, least, causes, given, command, monkeypatch) -> None:
-    laws = SimpleNamespace(laws=("law",)) if given.pop("law", "") else None
-    details = SimpleNamespace(poses=[1], laws=laws, unlisted=SimpleNamespace(shrink_interval=(least, 0.5)))
-    account, gain = SimpleNamespace(anchored=given.pop("anchored", True)), given.pop("gain", 0.0)
-    monkeypatch.setattr("casadical.project.diagnosis.discrimination_probability", lambda *_: (0.4, 0.4 + gain))
-    d = {"causes": [SimpleNamespace(effects=causes)] * len(causes), "verdict": verdict}
-    empty = SimpleNamespace(order=(), probability={})
-    d |= {"account": account, "rankings": [empty], "case": SimpleNamespace(candidates=())}
-    campaign = SimpleNamespace(tables=(Path("arm/poses.csv"),))
-    found = SimpleNamespace(diagnosis=SimpleNamespace(**d), details=details, campaign=campaign)
-    said = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], Path("arm"), **given).code
-    assert said == f"casadical diagnose {command}"
+def test_the_next_command_is_what_helps(command, verdict, given, monkeypatch) -> None:
+    usual = {"shrink": -0.1, "anchored": True, "laws": (), "gain": 0, "effects": (), "planned": None}
+    v = (N := SimpleNamespace)(**usual | given)
+    monkeypatch.setattr("casadical.project.diagnosis.discrimination_probability", lambda *_: (0, v.gain))
+    details = N(poses=[1], laws=N(laws=v.laws), unlisted=N(shrink_interval=(v.shrink, 0.5)))
+    d = N(verdict=verdict, causes=[N(effects=v.effects)], account=N(anchored=v.anchored))
+    d.rankings, d.case = [N(order=(), probability={})], N(candidates=())
+    found = N(diagnosis=d, details=details, campaign=N(folder="arm", tables=["arm/poses.csv"]))
+    said = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], planned=v.planned)
+    assert said.code == f"casadical diagnose arm{command}"
 
 
 @pytest.fixture

@@ -14,13 +14,7 @@ from casadical.core.linear_gaussian.noise import covariance_of
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.linearisation import linearise
-from casadical.diagnosis.next_poses import (
-    Comparison,
-    Predictive,
-    causes_in_question,
-    next_poses,
-    predict_cause,
-)
+from casadical.diagnosis.next_poses import Comparison, Predictive, causes_in_question, next_poses, predict_cause
 from casadical.identification.accuracy import predicted
 from casadical.identification.pose_selection import Workspace
 from casadical.identification.pose_selection.candidates import draw, later_poses

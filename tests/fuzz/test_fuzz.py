@@ -20,11 +20,7 @@ FOUND = sorted((Path(__file__).parent / "found").iterdir())
 
 # The same inputs in every run, and none kept.
 DRAWN_BY_RULE = settings(
-    derandomize=True,
-    deadline=None,
-    database=None,
-    phases=(Phase.generate,),
-    suppress_health_check=list(HealthCheck),
+    derandomize=True, deadline=None, database=None, phases=(Phase.generate,), suppress_health_check=list(HealthCheck)
 )
 
 
@@ -102,12 +98,7 @@ def test_every_kind_of_file_is_read_as_it_is(kinds) -> None:
     for kind in listed.values():
         (place / kind.name).parent.mkdir(exist_ok=True)
         (place / kind.name).write_bytes(kind.seeds[0])
-        if kind.name not in (
-            "p/problem.toml",
-            "answers.jsonl",
-            "w/withheld.json",
-            "c/manifest.json",
-        ):
+        if kind.name not in ("p/problem.toml", "answers.jsonl", "w/withheld.json", "c/manifest.json"):
             kind.read(place / kind.name)
 
 

@@ -150,6 +150,8 @@ def test_a_wrong_unit_in_a_heading_of_ours_is_renamed(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("q1_deg,x_mm,y_mm,z_mm\n0.5,5,6,7\n0.7,8,9,10\n")
     assert read_measurements(path, 1, columns={"q1_rad": "q1_deg"}).q.ravel().tolist() == [0.5, 0.7]
+    path.write_text(path.read_text().replace("z_mm", "z_cm"))  # which is read as it says
+    np.testing.assert_allclose(read_measurements(path, 1).position, [[0.005, 0.006, 0.07], [0.008, 0.009, 0.1]])
 
 
 def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
@@ -177,14 +179,6 @@ def test_angles_are_read_unless_positions_alone_are_declared(kind: str | None, t
     found = understand(read_table(tmp_path / "a.csv"), ["revolute"], kind=kind)
     ways = [found.columns, *(way for question in found.questions for way in question.choices.values())]
     assert any(c.source.name == "Roll [deg]" for way in ways for c in way) is turned
-
-
-def test_one_axis_in_another_unit_is_read(tmp_path: Path) -> None:
-    rows = "\n".join(f"{10 * k},500,{7 * k},{k}" for k in range(8))
-    (tmp_path / "a.csv").write_text(f"q1_deg,x_mm,y_mm,z_cm\n{rows}\n")
-    sources = understand(read_table(tmp_path / "a.csv"), ["revolute"]).sources
-    assert sources["z_mm"] == Source("z_cm", 10.0)
-    assert sources["x_mm"] == Source("x_mm")
 
 
 def test_a_length_of_a_wire_is_what_was_measured(tmp_path: Path) -> None:

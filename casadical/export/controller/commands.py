@@ -38,7 +38,7 @@ from casadical.export.omission import left_out
 from casadical.project.problem import read_campaign_robot
 from casadical.project.problem_file import problem_file, result_in
 from casadical.robot.axes import row_matrix
-from casadical.robot.robot import Robot
+from casadical.robot.robot import Knowledge, Robot
 
 # Whether both robots have one tool or each its own, see `Sources.tool`.
 Tool = Literal["shared", "own"]
@@ -327,11 +327,9 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
-    """Return sentences on the payload that the model has, and on the poses that it was learnt from.
-
-    Their joint ranges [deg or mm] are the controller's readings, if they are known.
-    """
-    ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    """Return sentences on the joint ranges [deg or mm, readings] learnt from, and on the payload."""
+    known = robot.knowledge or Knowledge()
+    ranges = known.readings
     if len(ranges):
         learnt = (replace(j, lower=a, upper=b) for j, (a, b) in zip(robot.joints, ranges, strict=True))
         ranges = np.column_stack(replace(robot, joints=tuple(learnt), loops=()).reading_limits)
@@ -341,7 +339,7 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
         for i, ((low, high), (factor, unit)) in enumerate(zip(ranges, factors, strict=False), 1)
     ]
     text = f"the model was learnt from readings of joint {', '.join(spans)}; elsewhere it is extrapolated"
-    load, logged = robot.payload, (robot.knowledge.conditions if robot.knowledge else {}).get("payload_kg")
+    load, logged = robot.payload, known.conditions.get("payload_kg")
     payload = "payload in the model: none; it holds for what the flange carried when it was measured"
     if load:
         at = ", ".join(f"{1e3 * c:g}" for c in load.com)

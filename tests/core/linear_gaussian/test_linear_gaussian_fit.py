@@ -9,12 +9,7 @@ from models import FALLING, RATIOS, noise_of, small_model, without_last_rows
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import axes_of, covariance_of, whitening_of
-from casadical.core.linear_gaussian.normal_equations import (
-    joined,
-    marginalised,
-    normal_sums,
-    root_of_inverse,
-)
+from casadical.core.linear_gaussian.normal_equations import joined, marginalised, normal_sums, root_of_inverse
 
 SIGMA, POINT, COLUMNS = 0.1, 1, np.array([0, 2, 5])
 
