@@ -103,11 +103,9 @@ def test_the_robot_with_its_causes_goes_on_to_every_command(tmp_path: Path) -> N
 
 def test_out_is_whole_or_not_there(tmp_path: Path) -> None:
     (tmp_path / "taken" / "diagnosis.txt").mkdir(parents=True)
-    done = diagnosed(
-        PROBLEM, P06, "--effects", "friction_windup", "--out", tmp_path / "taken", "--json", tmp_path / "a.json"
-    )
-    assert done.returncode == 2
-    assert "is a folder" in done.stderr
+    files = ("--out", tmp_path / "taken", "--json", tmp_path / "a.json")
+    done = diagnosed(PROBLEM, P06, "--effects", "friction_windup", *files)
+    assert (done.returncode, "is a folder" in done.stderr) == (2, True)
     assert [p.name for p in (tmp_path / "taken").iterdir()] == ["diagnosis.txt"]
     assert not (tmp_path / "a.json").exists()
 

@@ -38,8 +38,7 @@ def stops(heading: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("heading", "way"),
-    [("A CSV", "calibrate"), ("A campaign", "diagnose"), ("An effect", "effect")],
+    ("heading", "way"), [("A CSV", "calibrate"), ("A campaign", "diagnose"), ("An effect", "effect")]
 )
 def test_a_way_is_walked_in_the_order_of_its_stops(heading: str, way: str, tmp_path: Path) -> None:
     """Each stop is a function that the walk really enters, and none before an earlier stop."""
