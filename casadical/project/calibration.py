@@ -45,7 +45,6 @@ from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.problem import Carried, Problem, error_groups, nothing_carried, read_problem
 from casadical.project.problem_file import BASE_METHODS, CameraErrorsTable, all_methods, base_methods
-from casadical.project.robot_columns import unfitted
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
 
@@ -385,7 +384,7 @@ def calibrate(
         networks = () if method in BASE_METHODS else (method,)
         problem = replace(problem, methods=base_methods([method]), networks=networks)
     parts = problem.parts()
-    for fault in (*unfitted(problem.sets), problem.unnamed_targets):
+    for fault in (*problem.unfitted, problem.unnamed_targets):
         if fault:
             raise InputError(fault)
     # Held-out poses are checked like the others, as the accuracy is stated of them.

@@ -20,7 +20,7 @@ from casadical.measurements.arrangement import long
 from casadical.measurements.columns import Columns, columns_used
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import SETS, Measurements, without_poses
+from casadical.measurements.measurements import SETS, TARGET_PREFIX, Measurements, without_poses
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns, readings_alone, refuse_open, refuse_shared_rows
 from casadical.project.faults import each_of, every_fault
@@ -40,7 +40,7 @@ from casadical.project.problem_file import (
     tables_of,
 )
 from casadical.project.recognition import understood
-from casadical.project.robot_columns import as_poses, refuse_nameless, with_coupled, with_target_positions
+from casadical.project.robot_columns import as_poses, refuse_nameless, some_rows, with_coupled, with_target_positions
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -179,6 +179,42 @@ class Problem(Shown):
         if self.table is None or not found or not found.turning:
             return ""
         return f"{found.in_words(self.table.source)}; casadical check {self.folder} --repair writes them"
+
+    @property
+    def unmeasured_targets(self) -> list[str]:
+        """Return the targets of the robot file that no row names."""
+        seen = {name for _, m in self.parts() for name in m.target_names}
+        return [n for n in (self.robot.tool_name, *(t.name for t in self.robot.targets)) if n and n not in seen]
+
+    @property
+    def unfitted(self) -> list[str]:
+        """Return a sentence for each target or session that the set identify lacks, with a remedy.
+
+        No fitted pose then determines its point, or its base and tool.
+        """
+        used = self.sets.get("identify", ())
+        fitted = {name for m in used for name in m.target_names if m.conditions[TARGET_PREFIX + name].any()}
+        faults = []
+        for name, parts in self.sets.items():
+            for m in parts:
+                for target in m.target_names:
+                    rows = m.row[m.conditions[TARGET_PREFIX + target] > 0]
+                    if target not in fitted and len(rows):
+                        listed = some_rows(rows.tolist())
+                        faults.append(
+                            f"{m.source}: target {target!r} was measured in row {listed} only, of "
+                            f"the set {name!r}; no pose that is fitted tells where it is: measure "
+                            "it at three poses or more, or leave the rows out (leave_out = "
+                            f"[{listed}] in problem.toml)"
+                        )
+        inside = {session for m in used for session in m.session_names}
+        for name, parts in self.sets.items():
+            for session in sorted({session for m in parts for session in m.session_names} - inside):
+                faults.append(
+                    f"session {session!r} has poses of the set {name!r} only; none that is fitted "
+                    "tells where its base and tool are: put some of them into the set 'identify'"
+                )
+        return faults
 
     def used_poses(self, results: Mapping[str, "Identification"]) -> dict[str, Measurements]:
         """Return set, named as in `parts`, -> its measurements without outliers.

@@ -1,7 +1,7 @@
 """Interpretation of a table by the nominal robot: ambiguous headings, targets, coupled joints."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -190,41 +190,6 @@ def refuse_nameless(m: Measurements, robot: Robot) -> None:
             "not say which one was measured: add a column 'tool' with one of these names in each "
             "row, or list the rows in `tools` of problem.toml (docs/problem-folder.md)"
         )
-
-
-def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
-    """Return a sentence for each target or session that the set identify lacks, with a remedy.
-
-    No fitted pose then determines its point, or its base and tool.
-    """
-    fitted = {name for m in sets.get("identify", ()) for name in m.target_names if m.conditions[f"tool_{name}"].any()}
-    faults = []
-    for name, parts in sets.items():
-        for m in parts:
-            for target in m.target_names:
-                rows = m.row[m.conditions[f"tool_{target}"] > 0]
-                if target not in fitted and len(rows):
-                    listed = some_rows(rows.tolist())
-                    faults.append(
-                        f"{m.source}: target {target!r} was measured in row {listed} only, of the "
-                        f"set {name!r}; no pose that is fitted tells where it is: measure it at "
-                        f"three poses or more, or leave the rows out (leave_out = [{listed}] in "
-                        "problem.toml)"
-                    )
-    inside = {session for m in sets.get("identify", ()) for session in m.session_names}
-    for name, parts in sets.items():
-        for session in sorted({session for m in parts for session in m.session_names} - inside):
-            faults.append(
-                f"session {session!r} has poses of the set {name!r} only; none that is fitted "
-                "tells where its base and tool are: put some of them into the set 'identify'"
-            )
-    return faults
-
-
-def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list[str]:
-    """Return the targets of the robot file that no row names."""
-    seen = {name for parts in sets.values() for m in parts for name in m.target_names}
-    return [name for name in (robot.tool_name, *(t.name for t in robot.targets)) if name and name not in seen]
 
 
 def with_coupled(columns: Columns, robot: Robot) -> Columns:

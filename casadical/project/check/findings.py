@@ -22,7 +22,7 @@ from casadical.project.check.slip_list import LENGTHS_MIRROR_WARNING, MIRROR_WAR
 from casadical.project.check.slips import Slips
 from casadical.project.problem import Problem
 from casadical.project.recognition import computed
-from casadical.project.robot_columns import some_rows, unfitted, unmeasured
+from casadical.project.robot_columns import some_rows
 from casadical.project.targets import Targets, WrongNames
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
@@ -200,7 +200,7 @@ def limits_findings(robot: Robot) -> list[Finding]:
 
 def set_findings(problem: Problem) -> list[Finding]:
     """Return findings on targets, masses, signs, held-out poses, copied rows, unused columns."""
-    findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
+    findings = [Finding("error", "targets", text) for text in problem.unfitted]
     findings += [Finding("warning", "masses", n) for n in problem.robot.notes if n.startswith("masses left out: ")]
     for table in problem.tables:
         made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
@@ -208,7 +208,7 @@ def set_findings(problem: Problem) -> list[Finding]:
         if len(turned) % 2:
             text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRROR_WARNING}"
             findings.append(Finding("warning", "units", text))
-    if lost := unmeasured(problem.sets, problem.robot):
+    if lost := problem.unmeasured_targets:
         text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
         findings.append(Finding("warning", "targets", text))
     for name, m in problem.parts():
