@@ -20,11 +20,10 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.normal_equations import marginalised
+from casadical.core.linear_gaussian.normal_equations import marginalised, scaled_inverse
 from casadical.core.reporting.plain import WRITTEN, written
 from casadical.core.reporting.result import Shown
 from casadical.core.statistics import best_of
-from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
 from casadical.identification.misfit import MAX_FITTED_HARMONIC, REPEATABILITY_RATIOS, WideFit, wide_fit
 from casadical.identification.remaining_errors import residuals_and_jacobian, uncertain_parameters_of

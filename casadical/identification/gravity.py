@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.identification.identifiability import scaled_inverse
+from casadical.core.linear_gaussian.normal_equations import scaled_inverse
 from casadical.identification.result import Identification
 
 

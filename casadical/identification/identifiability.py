@@ -9,13 +9,12 @@ one tolerance serves where the columns are scaled (compare Khalil and Dombre 200
 import math
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.normal_equations import MAX_NUMPY_ROWS, inverse_of_triangle
+from casadical.core.linear_gaussian.normal_equations import scaled_inverse
 from casadical.core.parameters import Parameter
 
 # Largest length of a Jacobian column, as a share of the longest one, at which the parameter has no
@@ -168,40 +167,3 @@ def drop_poor(
             reason += f"; it moves the measured points nearly as {', '.join(partners)} {verb}"
         poor.append(Unidentifiable(p.name, reason, partners))
         remaining.remove(tested[worst])
-
-
-def scaled_solution(H: Array, g: Array) -> Array:
-    """Return H^-1 g, shape (k,), of a positive semidefinite matrix H, shape (k, k), via unit diagonal.
-
-    It is as by `scaled_inverse`, with a third of its operations where H is far from singular.
-    """
-    root = np.sqrt(np.maximum(np.diag(H), 1e-200))
-    scaled = np.outer(root, root)
-    with suppress(np.linalg.LinAlgError):
-        L = np.linalg.cholesky(np.divide(H, scaled, out=scaled))
-        if np.diag(L).min(initial=1.0) > 1e-4:
-            if len(L) <= MAX_NUMPY_ROWS:
-                half = inverse_of_triangle(L)
-                return np.asarray(half.T @ (half @ (g / root)) / root)
-            from scipy.linalg import cho_solve
-
-            return np.asarray(cho_solve((L, True), g / root, check_finite=False) / root)
-    return np.asarray(scaled_inverse(H) @ g)
-
-
-def scaled_inverse(H: Array) -> Array:
-    """Return the inverse of a positive semidefinite matrix H, shape (k, k), via unit diagonal.
-
-    The result is in the units of H^-1. Directions with eigenvalues at round-off get a very large
-    variance, not an infinite one.
-    """
-    root = np.sqrt(np.maximum(np.diag(H), 1e-200))
-    scaled = H / np.outer(root, root)
-    with suppress(np.linalg.LinAlgError):
-        L = inverse_of_triangle(np.linalg.cholesky(scaled))
-        inverse = np.asarray(L.T @ L)
-        # Cholesky factors are faster, and accurate where no scaled variance is near round-off.
-        if np.diag(inverse).max(initial=0.0) < 1e8:
-            return np.asarray(inverse / np.outer(root, root))
-    eigenvalues, V = np.linalg.eigh(scaled)
-    return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))

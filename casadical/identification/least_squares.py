@@ -18,10 +18,10 @@ import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array
 from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
+from casadical.core.linear_gaussian.normal_equations import scaled_solution
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.identification.accuracy import predicted
-from casadical.identification.identifiability import scaled_solution
 from casadical.identification.residuals import MAX_CACHED_DATA_POSES, Block, Loss, loss_and_slope, make_block
 from casadical.identification.solver import (
     ACCEPTABLE_STATUS,

@@ -14,9 +14,8 @@ import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.noise import covariance_of, whitening_of
-from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
+from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, scaled_inverse
 from casadical.core.statistics import first_of_best
-from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.remaining_errors import (
     EM_ITERATIONS,
     UncertainParameters,

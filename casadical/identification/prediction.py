@@ -25,8 +25,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.noise import log_gain_by_size
-from casadical.core.linear_gaussian.normal_equations import joined
-from casadical.identification.identifiability import scaled_inverse
+from casadical.core.linear_gaussian.normal_equations import joined, scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.identification.solver import bounded_step
 from casadical.robot.robot import Covariance, Robot

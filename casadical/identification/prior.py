@@ -24,11 +24,10 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import log_gain
-from casadical.core.linear_gaussian.normal_equations import marginalised
+from casadical.core.linear_gaussian.normal_equations import marginalised, scaled_inverse
 from casadical.core.reporting.plain import WRITTEN, Key, plain
 from casadical.core.reporting.result import Shown
 from casadical.effects import Effect
-from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Knowledge, Robot

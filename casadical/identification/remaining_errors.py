@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from casadical.core.basics import M_PER_MM, Array, InputError
-from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
-from casadical.identification.identifiability import scaled_inverse
+from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums, scaled_inverse
 from casadical.identification.reduction import MIN_NOISE_FREEDOM
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError
-from casadical.identification.identifiability import scaled_solution
+from casadical.core.linear_gaussian.normal_equations import scaled_solution
 
 # Function that is called at each iteration with its number, from 0, and the cost there.
 Progress = Callable[[int, float], None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -143,12 +144,53 @@ def root_of_inverse(normal: Array) -> Array:
 
 
 def inverse_of(normal: Array) -> Array:
-    """Return the inverse of a normal matrix, shape (p, p), symmetric to the last bit."""
+    """Return the inverse of a normal matrix, shape (p, p), symmetric to the last bit.
+
+    Raises numpy.linalg.LinAlgError where the matrix is not positive definite; of a singular one see
+    `scaled_inverse`.
+    """
     from scipy.linalg.lapack import dpotri
 
     L, scale = _factor(normal)
     lower = np.tril(dpotri(L, lower=1)[0])
     return np.asarray((lower + np.tril(lower, -1).T) * np.outer(scale, scale))
+
+
+def scaled_solution(H: Array, g: Array) -> Array:
+    """Return H^-1 g, shape (k,), of a positive semidefinite matrix H, shape (k, k), via unit diagonal.
+
+    It is as by `scaled_inverse`, with a third of its operations where H is far from singular.
+    """
+    root = np.sqrt(np.maximum(np.diag(H), 1e-200))
+    scaled = np.outer(root, root)
+    with suppress(np.linalg.LinAlgError):
+        L = np.linalg.cholesky(np.divide(H, scaled, out=scaled))
+        if np.diag(L).min(initial=1.0) > 1e-4:
+            if len(L) <= MAX_NUMPY_ROWS:
+                half = inverse_of_triangle(L)
+                return np.asarray(half.T @ (half @ (g / root)) / root)
+            from scipy.linalg import cho_solve
+
+            return np.asarray(cho_solve((L, True), g / root, check_finite=False) / root)
+    return np.asarray(scaled_inverse(H) @ g)
+
+
+def scaled_inverse(H: Array) -> Array:
+    """Return the inverse of a positive semidefinite matrix H, shape (k, k), via unit diagonal.
+
+    The result is in the units of H^-1. Directions with eigenvalues at round-off get a very large
+    variance, not an infinite one.
+    """
+    root = np.sqrt(np.maximum(np.diag(H), 1e-200))
+    scaled = H / np.outer(root, root)
+    with suppress(np.linalg.LinAlgError):
+        L = inverse_of_triangle(np.linalg.cholesky(scaled))
+        inverse = np.asarray(L.T @ L)
+        # Cholesky factors are faster, and accurate where no scaled variance is near round-off.
+        if np.diag(inverse).max(initial=0.0) < 1e8:
+            return np.asarray(inverse / np.outer(root, root))
+    eigenvalues, V = np.linalg.eigh(scaled)
+    return np.asarray((V / np.maximum(eigenvalues, 1e-15)) @ V.T / np.outer(root, root))
 
 
 def _factor(normal: Array) -> tuple[Array, Array]:

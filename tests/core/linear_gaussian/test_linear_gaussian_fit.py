@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from models import FALLING, RATIOS, noise_of, small_model, without_last_rows
 
+from casadical.core.linear_gaussian import normal_equations
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import axes_of, covariance_of, whitening_of
@@ -144,3 +145,12 @@ def test_parameters_not_asked_for_are_integrated() -> None:
     covariance = np.linalg.inv(whole)
     np.testing.assert_allclose(np.linalg.inv(own), covariance[np.ix_(kept, kept)])
     np.testing.assert_allclose(np.linalg.solve(own, score), (covariance @ g)[kept])
+
+
+@pytest.mark.parametrize("weak", [1.0, 1e-3, 1e-5])
+def test_a_step_is_that_of_the_least_squares_problem(weak: float) -> None:
+    """Columns are in units eight decades apart, and the last one is nearly that before it."""
+    A = np.random.default_rng(3).normal(size=(30, 6))
+    A[:, 5] = A[:, 4] + weak * A[:, 5]
+    J, r = A * 10.0 ** np.arange(-4, 5)[[0, 2, 4, 6, 8, 8]], A @ np.ones(6)
+    assert np.linalg.norm(J @ normal_equations.scaled_solution(J.T @ J, J.T @ r) - r) < 1e-5 * np.linalg.norm(r)
