@@ -5,6 +5,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,7 @@ from casadical.blind_check.mujoco_physics.plant import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 from casadical.blind_check.own_robot import check_robot, subject_of
 from casadical.cli import app
-from casadical.core.basics import InputError
+from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.parts import Coupling
 from casadical.project.problem import read_campaign, read_campaign_robot
 from casadical.robot.robot import Robot
@@ -227,7 +228,7 @@ def test_an_arm_has_grown_from_the_first_of_the_given_poses_on(gantry: Path) -> 
 
 @MUJOCO
 @pytest.mark.usefixtures("stubbed")
-def test_campaigns_are_counted_by_what_was_answered(gantry: Path) -> None:
+def test_campaigns_are_counted_by_what_was_answered(gantry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every answer is a claim of a scale error of joint 1, which the robot, whose joint 1 slides, cannot have."""
     checked = check_robot(read_campaign_robot(gantry), poses=24, n=4, seed=2, not_logged=["payload"], executor=Here())
     figures = checked.to_json()["withheld"]
@@ -235,6 +236,10 @@ def test_campaigns_are_counted_by_what_was_answered(gantry: Path) -> None:
     assert (figures["claims that are right"]["hits"], figures["claims that are right"]["n"]) == (0, 4)
     assert figures["false alarms where nothing is hidden"]["value"] == 1.0
     assert not {e for t in checked.outcomes for e in t.effects} & set(checked.not_drawn)
+    for kind in (InputError, ConvergenceError):
+        monkeypatch.setattr("casadical.blind_check.own_robot.campaign_of", Mock(side_effect=kind("no rest")))
+        checked = check_robot(read_campaign_robot(gantry), poses=24, n=4, seed=2, executor=Here())
+        assert {*checked.failed.values()} == {"not simulated: no rest"}
 
 
 @MUJOCO

@@ -70,6 +70,17 @@ def test_an_interrupt_says_what_is_kept(arms: Path, tmp_path: Path, near: str) -
     assert "ok" in list(rows(store)[0]["status"])
 
 
+@pytest.mark.parametrize("robots", [0, 1])
+def test_a_full_disk_says_what_is_kept(arms: Path, tmp_path: Path, near: str, monkeypatch, robots: int) -> None:
+    def fill(text: str) -> None:
+        if text.startswith(f"robot {robots} "):
+            monkeypatch.setattr("os.fsync", _full)
+
+    with pytest.raises(InputError, match="No space left") as error:
+        run_fleet([arms], tmp_path / "fleet.parquet", scheduler=near, with_diagnosis=False, show=fill)
+    assert ("; 1 of 3 robots are in" in str(error.value)) == bool(robots)
+
+
 def test_a_copy_of_a_folder_is_no_robot_also_where_the_first_was_renamed(arms, tmp_path, near):
     plant, store = tmp_path / "plant", tmp_path / "fleet.parquet"
     shutil.copytree(arms / "arm1", plant / "arm1")

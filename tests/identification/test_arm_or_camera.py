@@ -6,13 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from arms import poses, readings, six_axis
+from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 from test_camera_noise import MIDDLE, seen_by_hand
 
 from casadical import Measurements, identify
 from casadical.core.transforms import frame
-from casadical.identification.arm_or_camera import _Model, arm_or_camera
+from casadical.identification.arm_or_camera import _Model, _settings, arm_or_camera
 from casadical.identification.identification import prepare
+from casadical.measurements.camera_noise import CameraNoise
 from casadical.robot.robot import Robot
 
 
@@ -90,3 +92,29 @@ def test_poses_that_tell_nothing_leave_the_prior_probability_of_a_step() -> None
     blind.whitened = lambda ratios, sigmas: (np.zeros(84), frames, np.zeros((84, 6)))
     moved, _ = _Model.step(blind, SimpleNamespace(ratios=None, sigmas=None), np.repeat(["tool", "base"], 6))
     assert moved.probability == pytest.approx(0.1)
+
+
+def test_a_cause_has_the_posterior_probability_of_dense_normal_densities() -> None:
+    """Of noise half as large again as estimated, which the average over its sigmas has to allow for."""
+    arm, rng = six_axis(), np.random.default_rng(6)
+    m = replace(poses(arm, readings(arm, 14, 0), 1), camera="in hand")
+    y, frames, rest = 1.5 * rng.normal(size=84), rng.normal(size=(84, 12)), rng.normal(size=(84, 5))
+    rest *= [0.1, 300, 300, 300, 300]
+    y += 0.002 * rest[:, 1]
+    model = SimpleNamespace(m=m, drawn=np.zeros(1, dtype=bool), widths=np.ones(1), names=np.array(["a1"]))
+    model.whitened = lambda noise, sigmas: (y, frames, rest)
+    found = _Model.answer(model, CameraNoise(distance=1.0), (1e-5, 1e-4))
+    sd, log_prior, present = _settings(model.drawn, model.widths)
+    # In an orthonormal basis of what the frames leave, and of its part that the errors move.
+    free = null_space(frames.T)
+    Q, A = np.linalg.qr(free.T @ rest)
+    e = Q.T @ free.T @ y
+    log = []
+    for f in np.geomspace(0.75, 1.5, 6):
+        C = f**2 * np.eye(5) + (A * sd[:, None] ** 2) @ A.T
+        other = 67 * np.log(f) + 0.5 * (np.sum((free.T @ y) ** 2) - e @ e) / f**2
+        log.append(log_prior - 0.5 * np.linalg.slogdet(C)[1] - 0.5 * np.linalg.inv(C) @ e @ e - other)
+    weight = np.exp(log - np.max(log)).sum(axis=0)
+    expected = weight @ present / weight.sum()
+    assert 0.5 < expected[0] < 0.7
+    assert [error.probability for error in found.errors] == pytest.approx(expected, abs=0.05)

@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from casadical import InputError, from_table, identify, read_problem
+from casadical import InputError, read_problem
 from casadical.project.diagnosis import read_logs
 from casadical.project.problem import error_groups, read_campaign_robot
 from casadical.project.problem_file import CameraErrorsTable, DataTable, LogsTable
-from casadical.robot.robot_file import read_robot
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "studies"))  # for their scripts as modules
@@ -119,24 +118,6 @@ def test_the_planar_arm_gets_its_planted_errors_back(calibrated) -> None:
     assert set(truth) == set(found[found.status == "identified"].index)
     for name, value in truth.items():
         assert abs(found.value[name] - value) < 4 * found.std_error[name], name
-
-
-def test_hh800_has_the_papers_identifiable_set() -> None:
-    """29 kinematic parameters and 4 compliances; d2, d6, theta6 and L3 are Table 3's X marks."""
-    robot = read_robot(ROOT / "problems" / "hh800" / "robot.toml")
-    rng = np.random.default_rng(0)
-    low = np.array([-120, 60, 150, -170, -110, -170])
-    high = np.array([120, 110, 200, 170, 110, 170])
-    q = np.deg2rad(rng.uniform(low, high, (40, 6)))
-    true = robot.with_values({"c2": 1.6e-8, "c3": 6e-8, "c4": 3e-7, "c5": 4e-7, "a2": 1.6008, "L4": 1.601})
-    p = true.position.map(40)(q.T, true.parameters.values).full().T + rng.normal(0, 1e-5, (40, 3))
-    columns = {f"q{i + 1}_rad": q[:, i] for i in range(6)} | dict(zip(("x_m", "y_m", "z_m"), p.T, strict=True))
-    result = identify(robot, from_table(pd.DataFrame(columns), 6), method="SKCM")
-    assert {u.name for u in result.identifiability.unidentifiable} == {"d2", "d6", "theta6", "L3"}
-    groups = result.parameters[result.parameters.status == "identified"].group
-    assert (groups != "compliance").sum() == 29
-    assert (groups == "compliance").sum() == 4
-    assert all(u.reason for u in result.identifiability.unidentifiable)
 
 
 @pytest.mark.parametrize(("name", "most"), [("focal", 0.2), ("tilt", 0.2), ("board", 0.2), ("distortion", 1.0)])

@@ -11,11 +11,12 @@ from structured_text_in_c import Compiled, parsed
 
 from casadical.export import Status, load, write_c
 from casadical.export.c import reference
-from casadical.export.c.c_source import comparison_inputs
+from casadical.export.c.c_source import c_files, comparison_inputs
 from casadical.export.c.products import Command, NetworkFunction
 from casadical.export.c.reference import correct, network
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import operations, tape_program
+from casadical.export.c.write import compared
 
 REALS = (pytest.param("float", marks=pytest.mark.slow), "double")
 
@@ -113,6 +114,8 @@ def test_structured_text_of_every_other_operation_gives_the_bits_of_the_referenc
     expected = network(program, q)
     assert (bits(found[0]) == bits(expected[0])).all()
     assert found[1].tolist() == expected[1].tolist()
+    files = {name: text.encode() for name, text in c_files(program).items()}
+    assert [str(result) for result in compared(program, files, [compiler], 1000) if result.different] == []
 
 
 def test_the_test_of_the_controller_notices_another_bit(network, compiler, tmp_path):
