@@ -90,10 +90,8 @@ def test_a_reader_that_goes_away_loses_no_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "done"),
     [
-        ("laws alone", 0.72),
         ("laws given what was found", 0.8),
         ("laws given what was found: 3 of 4", 0.8 + 0.05 * 2 / 4),
-        ("the robot with laws", 0.96),
         ("the robot with laws: 2 of 2", 0.98),
         ("unknown words", 0.0),
         ("1 of 4 campaigns", 0.25),

@@ -23,14 +23,14 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def resealed(saved: Path, tmp_path: Path, change) -> Path:
+def resealed(saved: Path, tmp_path: Path, change, kind: str = "casadical-compensator", version: object = 1) -> Path:
     """A copy with a change and a checksum that fits."""
     body = json.loads(saved.read_text())
     for key in ("format", "version", "sha256"):
         body.pop(key)
     change(body)
     path = tmp_path / "changed.json"
-    path.write_text(checksummed("casadical-compensator", 1, body))
+    path.write_text(checksummed(kind, version, body))
     return path
 
 
@@ -38,6 +38,14 @@ def test_an_unchanged_copy_is_read(saved: Path, tmp_path: Path) -> None:
     q = np.array([[0.1, 0.2]])
     copy = load_compensator(resealed(saved, tmp_path, lambda body: None))
     assert np.array_equal(copy.correction_mm(q), load_compensator(saved).correction_mm(q))
+
+
+def test_a_network_that_corrects_nothing_of_no_error_is_read(saved: Path, tmp_path: Path) -> None:
+    def without_error(body) -> None:
+        body["network"]["weights"] = [0.0] * len(body["network"]["weights"])
+        body["training"]["before"]["max_mm"] = 0.0
+
+    assert not load_compensator(resealed(saved, tmp_path, without_error)).correction_mm(np.zeros((1, 2))).any()
 
 
 @pytest.mark.parametrize(
@@ -74,10 +82,5 @@ def test_what_is_no_such_network_is_refused(saved: Path, tmp_path: Path, change,
     ],
 )
 def test_format_and_version_are_those_of_this_package(saved: Path, tmp_path: Path, kind, version, told) -> None:
-    body = json.loads(saved.read_text())
-    for key in ("format", "version", "sha256"):
-        body.pop(key)
-    path = tmp_path / "v.json"
-    path.write_text(checksummed(kind, version, body))
     with pytest.raises(InputError, match=told):
-        load_compensator(path)
+        load_compensator(resealed(saved, tmp_path, lambda body: None, kind, version))

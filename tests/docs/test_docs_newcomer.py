@@ -100,19 +100,6 @@ def test_the_calibrate_command_runs() -> None:
     assert done.stdout.count("are not identifiable.") == 2
 
 
-@pytest.mark.slow
-def test_the_example_runs(tmp_path: Path) -> None:
-    (code,) = in_language(ROOT / "docs" / "README.md", "python")
-    assert len([line for line in code.splitlines() if line.strip()]) <= 15
-    for name in ("problems", "data"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    done = command_line.python(code, tmp_path)
-    assert done.returncode == 0, done.stderr
-    before, after = map(float, re.search(r"mean: ([\d.]+) mm .*, ([\d.]+) mm", done.stdout).groups())
-    assert after < 0.6 < before
-    assert (tmp_path / "ur10_calibrated.toml").exists()
-
-
 def test_a_robot_in_the_docs_is_one(tmp_path: Path) -> None:
     from casadical import read_robot
 

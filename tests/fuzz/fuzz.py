@@ -155,9 +155,6 @@ def _child(hostile: Hostile, place: Path, ends: list[int], command: Callable[[],
         sys.stdin, sys.stdout, sys.stderr = open(0, closefd=False), open(1, "w"), open(2, "w")  # noqa: SIM115
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 5))
-        if hostile.disk is not None:
-            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (hostile.disk, hostile.disk))
         sys.argv = ["casadical", *hostile.command]
         from casadical.cli import main
 

@@ -96,55 +96,18 @@ CHANGED = (
     "fleet.json", "stdin.csv", "live/measured.jsonl", "live/problem.toml", "w/withheld.json", "w/key.json",
     "w/answers.jsonl", "places.csv",
 )  # fmt: skip
-# Valid command lines, and files that they read besides those that they name.
-R = "in/results/KM.robot.toml"
-LINES = (
-    ("check in/p", "p/problem.toml p/robot.toml p/poses.csv"),
-    ("calibrate in/p --out out/r --prior " + R, "p/problem.toml p/robot.toml p/poses.csv"),
-    ("diagnose in/p in/p/poses.csv --no-laws --effects in/my.effect.toml --out out/d", "p/problem.toml"),
-    ("diagnose in/p/robot.toml in/log.csv --drive in/drive.toml --reference in/log.csv --json out/j", ""),
-    ("diagnose in/p/robot.toml in/sage", "sage/state_motor.csv sage/control.csv sage/joint_list.txt"),
-    ("diagnose in/p/robot.toml in/bag-db3", "bag-db3/metadata.yaml bag-db3/bag-db3.db3"),
-    ("diagnose in/p/robot.toml in/lerobot/data/episode.parquet", "lerobot/meta/info.json"),
-    ("measure in/live --follow - --no-page --json out/j", "live/measured.jsonl live/problem.toml live/robot.toml"),
-    ("measure in/live --follow - --no-page --finish --room in/room.toml", "stdin.csv"),
-    ("plan " + R + " -n 4 --room in/room.toml --measured in/p/poses.csv --out out/c.csv", ""),
-    ("plan " + R + " --wires 2 --places in/places.csv -n 4 --out out/c.csv", ""),
-    ("plan " + R + " in/p/poses.csv --isolability --for in/my.effect.toml", ""),
-    ("plan in/p --iso9283 --room in/room.toml --out out/c.csv", "p/robot.toml"),
-    ("verify in/results in/2026-03-01.csv in/2026-03-02.csv --touches --fleet in/fleet.json "
-     "--noise-mm 0.05 --tolerance-mm 1 --chart out/c.csv --update out/u.toml",
-     "results/result.json results/KM.robot.toml"),
-    ("plan in/results --touches 5 --room in/room.toml --out out/t.csv", ""),
-    ("verify in/results in/iso.csv --iso9283", "results/result.json"),
-    ("verify in/results in/p/poses.csv --json out/j", "results/result.json"),
-    ("certificate in/results --details in/certificate.toml --iso9283 in/iso.csv --problem in/p --out out/c.pdf",
-     "results/result.json results/KM.robot.toml p/poses.csv"),
-    ("compare in/results in/p/poses.csv --robot in/p --json out/j", "results/result.json p/robot.toml"),
-    ("correct " + R + " in/program.csv --nominal in/p/robot.toml --compensator in/net.json --out out/p.csv", ""),
-    ("export model " + R + " --out out/a.xml", ""), ("export model in/p --to urdf --out out/a.urdf", ""),
-    ("export c " + R + " --nominal in/p/robot.toml --compensator in/net.json --out out/c", ""),
-    ("new out/new --dh in/dh.csv --data in/p/poses.csv --yes", ""),
-    ("new out/new --urdf in/arm.urdf --data in/p/poses.csv --yes", ""),
-    ("withheld predict in/w --workers 1 --out out/a.jsonl", "w/withheld.json w/a.csv w/robots/two.toml"),
-    ("withheld score in/w in/w in/w/answers.jsonl --json out/j", "w/withheld.json w/key.json w/answers.jsonl"),
-    ("fleet in/p --store out/store.parquet --workers 1 --no-diagnose", "p/robot.toml p/poses.csv"),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Hostile:
-    """One input: the words of the command line, changes of files (name, kind, place, what is put there), and how many
-    bytes a file may get."""
+    """One input: the words of the command line, and changes of files (name, kind, place, what is put there)."""
 
     command: tuple[str, ...]
     changes: tuple[tuple[str, str, int, str], ...]
-    disk: int | None = None
 
     def __str__(self) -> str:
         words = " ".join(ascii(w)[1:-1][:60] for w in self.command)
-        full = "" if self.disk is None else f" on a disk of {self.disk} bytes"
-        return f"{words}{full} | " + "; ".join(f"{n} {k} {p} {ascii(v)[:40]}" for n, k, p, v in self.changes)
+        return f"{words} | " + "; ".join(f"{n} {k} {p} {ascii(v)[:40]}" for n, k, p, v in self.changes)
 
 
 def draw(choose: Choose) -> Hostile:

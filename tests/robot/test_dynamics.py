@@ -187,23 +187,6 @@ def test_robot_file_keeps_inertias_and_drive(arm, tmp_path) -> None:
     assert first["drive"]["kp_Nm_per_rad"] == [10, 20, 30, 4, 5, 6.5]
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("kp_Nm_per_rad = [1, 2]", "drive.kp_Nm_per_rad = [1, 2]: has 2 numbers; allowed: one, or one for each of 1"),
-        ("kp = 3", "drive.kp = 3: write its unit too: kp_Nm_per_rad or kp_N_per_m"),
-        ("gear = 100", "drive.gear = 100: unknown key"),
-        ('encoder_side = "both"', "drive.encoder_side = 'both': must be 'motor' or 'joint'"),
-        ("delay_s = -1", "drive.delay_s"),
-    ],
-)
-def test_faults_of_the_drive_are_named(line, said) -> None:
-    text = f'casadical = 1\nname = "x"\n[drive]\n{line}\n[[joint]]\n'
-    with pytest.raises(InputError) as error:
-        robot_from(tomllib.loads(text), "robot.toml")
-    assert said in str(error.value)
-
-
 def test_drive_beside_a_log(tmp_path) -> None:
     path = tmp_path / "drive.toml"
     path.write_text("[drive]\nkp_Nm_per_rad = [10, 20]\n")

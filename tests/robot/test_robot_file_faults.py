@@ -65,6 +65,15 @@ FAULTS = {
         before_tool("[drive]\nkp_Nm_per_rad = [1, -5]\nlog_rate_Hz = 1e99"),
         ["drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0", "log_rate_Hz = 1e+99: must be less than"],
     ),
+    "a gain for one joint too many": (
+        before_tool("[drive]\nkp_Nm_per_rad = [1, 2, 3]"),
+        ["drive.kp_Nm_per_rad = [1, 2, 3]: has 3 numbers; allowed: one, or one for each of 2"],
+    ),
+    "a gain without a unit": (before_tool("[drive]\nkp = 3"), ["drive.kp = 3: write its unit too: kp_Nm_per_rad or"]),
+    "a drive's unknown key and word": (
+        before_tool('[drive]\ngear = 100\nencoder_side = "both"\ndelay_s = -1'),
+        ["drive.gear = 100: unknown key", "encoder_side = 'both': must be 'motor' or 'joint'", "drive.delay_s"],
+    ),
     "one name for two joints": (
         ("[[joint]]\n", '[[joint]]\nname = "a"\n[[joint]]\nname = "a"\n'),
         ["joint[1].name = 'a'", "each needs one of its own"],
