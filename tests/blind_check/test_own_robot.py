@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from unittest.mock import Mock
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from checks import ROOT, Here
+from marks import MUJOCO
 from typer.testing import CliRunner
 
 from casadical.blind_check.generation import Plan, campaign_of, record
@@ -27,7 +27,6 @@ from casadical.project.problem import read_campaign, read_campaign_robot
 from casadical.robot.robot import Robot
 
 SHOWN = ["q1_mm", "q2_mm", "q3_deg", "q4_deg"]
-MUJOCO = pytest.mark.skipif(find_spec("mujoco") is None, reason="MuJoCo is not installed")
 # Two slides, then two hinges, with masses; no robot of the repository has a slide.
 GANTRY = """
 casadical = 1

@@ -443,24 +443,6 @@ def test_a_change_may_begin_between_any_two_campaigns() -> None:
         assert weights.sum() == pytest.approx(1 - 0.5 / n - 0.5 * 0.97 ** (n - 1))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(p.parent.name for p in ROOT.glob("problems/*/problem.toml")))
-def test_every_result_that_calibrate_writes_can_be_compared(name: str, tmp_path: Path, calibrated) -> None:
-    """Also of robots whose masses are estimated, which their priors know and the poses do not."""
-    if name in ("so101", "ur10_grid", "ur10_joints"):
-        pytest.skip("joint logs without poses, or the robot of ur10")
-    result = calibrated(name)
-    result.write(tmp_path)
-    if any(m.separations for m in result.identification.measurements):
-        pytest.skip("distances between touched points cannot be compared")
-    for method, found in result.written.items():
-        own = estimate_of_file(read_robot(tmp_path / f"{method}.robot.toml"))
-        size = np.linalg.eigvalsh(own.information)
-        assert size[0] > -1e-9 * size[-1]
-        later = estimate((found.robot, [m[:60] for m in found.measurements]))
-        assert compare([own, later]).campaigns[1] is not own
-
-
 def test_a_result_with_masses_that_only_their_priors_know_can_be_compared(arm: tuple[Robot, Robot]) -> None:
     """A DH table without masses: its estimated masses are in the covariance, and the poses leave them open."""
     nominal, built = arm

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from marks import MUJOCO
 
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.causes_load import gear_eccentricity
 
 from .machines import angle_about, built, shift, stops
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
+pytestmark = MUJOCO
 
 TURN = np.linspace(-np.pi, np.pi, 48, endpoint=False)
 

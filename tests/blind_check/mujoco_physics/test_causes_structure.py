@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from marks import MUJOCO
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
@@ -12,7 +13,7 @@ from casadical.blind_check.mujoco_physics.mechanism import start
 
 from .machines import built, drawn, nominal, shift, stops
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
+pytestmark = MUJOCO
 
 
 def test_a_crack_opens_one_way_only():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import MUJOCO
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
@@ -11,7 +12,7 @@ from casadical.blind_check.mujoco_physics.cause import placed, rated_torque, ref
 
 from .machines import angle_about, built, drawn, shift, stops
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
+pytestmark = MUJOCO
 ODD = {
     "loose_cargo": (None, {}),
     "tight_cable": (2, {"free": 0.4}),

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from marks import MUJOCO
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import Hidden
@@ -16,7 +17,7 @@ from casadical.core.basics import InputError
 
 from .machines import ROBOTS, built, nominal, stops
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
+pytestmark = MUJOCO
 XYZ = ["x_mm", "y_mm", "z_mm"]
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from marks import MUJOCO
 
 from casadical.blind_check import mujoco_physics as engine
 from casadical.blind_check.mujoco_physics import mechanism
@@ -11,7 +12,7 @@ from casadical.blind_check.mujoco_physics.mechanism import start
 from .machines import ROBOTS, built, drawn, stops
 from .oracle import rest
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
+pytestmark = MUJOCO
 TRUE = ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
