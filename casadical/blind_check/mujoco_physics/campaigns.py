@@ -6,7 +6,7 @@ of it.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -46,46 +46,23 @@ def in_si(plant: Plant, shown: Array) -> Array:
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
 
 
-class Options(TypedDict, total=False):
-    """Keywords of ``simulate`` that have a default.
-
-    noise_mm : standard deviation of each measured coordinate [mm]; default 0.02
-    repeatability_urad : standard deviation of each joint about its reading [urad, or um of a
-        prismatic joint]; default 5
-    payload_states : declared masses of the payload [kg], in alternating blocks; default: 0 and the
-        plant's
-    warmup : warm-up of the arm; default: 7 K with a time constant of 35 minutes
-    approach : direction of each joint's last motion: "chance" (default) for random ones, or
-        "motion" for those by the order of the poses
-    q_deg : readings that are taken instead of random ones, shape (n, joints) [deg or mm]
-    given : columns time_s, temperature_degC, payload_kg, approach1 .. that are taken instead of
-        random ones
-    ranges_deg : ranges of random readings, shape (joints, 2) [deg or mm]; None: the plant's
-    crank_distance_m : limits of the four-bar's crank distance [m]; None: a quarter of the rocker
-        away from the singular poses
-    truth : whether the columns x_true_mm, y_true_mm, z_true_mm are added: without noise, joint
-        repeatability and outliers, but with effects that move the tracker
-    """
-
-    noise_mm: float
-    repeatability_urad: float
-    payload_states: Sequence[float] | None
-    warmup: Warmup | None
-    approach: Literal["chance", "motion"]
-    q_deg: Array | None
-    given: pd.DataFrame | None
-    ranges_deg: Array | None
-    crank_distance_m: tuple[float, float] | None
-    truth: bool
-
-
 def simulate(
     plant: Plant,
     positions: Callable[[Stops, Array | float], Array],
     instruments: Sequence[Cause],
     n: int,
     seed: int,
-    **options: Unpack[Options],
+    *,
+    noise_mm: float = 0.02,
+    repeatability_urad: float = 5.0,
+    payload_states: Sequence[float] | None = None,
+    warmup: Warmup | None = None,
+    approach: Literal["chance", "motion"] = "chance",
+    q_deg: Array | None = None,
+    given: pd.DataFrame | None = None,
+    ranges_deg: Array | None = None,
+    crank_distance_m: tuple[float, float] | None = None,
+    truth: bool = False,
 ) -> pd.DataFrame:
     """Return the table of n simulated measured poses, rounded like a real one.
 
@@ -99,11 +76,25 @@ def simulate(
     instruments : causes, of which those of the instrument act on the measured positions
     n : number of poses
     seed : seed of all random draws
+    noise_mm : standard deviation of each measured coordinate [mm]
+    repeatability_urad : standard deviation of each joint about its reading [urad, or um of a
+        prismatic joint]
+    payload_states : declared masses of the payload [kg], in alternating blocks; None: 0 and the
+        plant's
+    warmup : warm-up of the arm; None: 7 K with a time constant of 35 minutes
+    approach : direction of each joint's last motion: "chance" for random ones, or "motion" for
+        those by the order of the poses
+    q_deg : readings that are taken instead of random ones, shape (n, joints) [deg or mm]
+    given : columns time_s, temperature_degC, payload_kg, approach1 .. that are taken instead of
+        random ones
+    ranges_deg : ranges of random readings, shape (joints, 2) [deg or mm]; None: the plant's
+    crank_distance_m : limits of the four-bar's crank distance [m]; None: a quarter of the rocker
+        away from the singular poses
+    truth : whether the columns x_true_mm, y_true_mm, z_true_mm are added: without noise, joint
+        repeatability and outliers, but with effects that move the tracker
     Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
     """
-    warmup = options.get("warmup") or Warmup()
-    noise_mm, repeatability_urad = options.get("noise_mm", 0.02), options.get("repeatability_urad", 5.0)
-    states, ranges_deg = options.get("payload_states"), options.get("ranges_deg")
+    warmup, states = warmup or Warmup(), payload_states
     if n < 1:
         raise InputError(f"n is {n}; a campaign needs at least 1 pose")
     if min(noise_mm, repeatability_urad) < 0:
@@ -116,17 +107,16 @@ def simulate(
         raise InputError("payload_states is empty; give at least one declared payload [kg], 0 for none")
     seeds = np.random.SeedSequence(seed).spawn(7)
     poses, _, _, thermometer, joints, noise, instrument = map(np.random.default_rng, seeds)
-    q_deg, given = options.get("q_deg"), options.get("given")
     if q_deg is None:
         ranges = plant.ranges if ranges_deg is None else in_si(plant, np.asarray(ranges_deg, float).T).T
-        limits = options.get("crank_distance_m") or unfolded(plant)
+        limits = crank_distance_m or unfolded(plant)
         q = draw_poses(plant, n, poses, ranges, limits)
         q_deg = _per_joint(plant, np.rad2deg(q), 1e3 * q)
     if np.shape(q_deg) != (n, plant.n):
         raise InputError(f"q_deg has shape {np.shape(q_deg)}; for n = {n} it must be ({n}, {plant.n})")
     q_deg = np.round(q_deg, 6)
     states = (0.0, plant.payload_kg) if states is None else states
-    drawn = draw_stops(in_si(plant, q_deg), seeds[1:3], states, warmup, options.get("approach", "chance"))
+    drawn = draw_stops(in_si(plant, q_deg), seeds[1:3], states, warmup, approach)
     given = pd.DataFrame() if given is None else given
     stops = with_given(drawn, given, warmup)
     xyz = positions(stops, joints.normal(0, repeatability_urad * 1e-6, stops.q.shape))
@@ -139,7 +129,7 @@ def simulate(
     table[approaches(plant.n)] = stops.approach.astype(int)
     table[readings_of(plant)] = q_deg
     table[MEASURED_COLUMNS] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
-    if options.get("truth"):
+    if truth:
         table[[f"{c}_true_mm" for c in "xyz"]] = np.round(1e3 * positions(stops, 0.0), 6)
     return table
 
@@ -166,20 +156,18 @@ def with_given(stops: Stops, given: pd.DataFrame, warmup: Warmup) -> Stops:
     return Stops(stops.q, time, warmth, column("payload_kg", stops.payload_kg), came)
 
 
-def campaign(
-    plant: Plant, hidden: Sequence[Hidden | Cause], n: int, seed: int, **options: Unpack[Options]
-) -> pd.DataFrame:
+def campaign(plant: Plant, hidden: Sequence[Hidden | Cause], n: int, seed: int, **options: Any) -> pd.DataFrame:
     """Return the table of a simulated campaign of n poses, a row each; see `simulate`.
 
     plant : robot as built; hidden : hidden effects that act on it
-    seed : seed of all random draws; options : as of `Options`
+    seed : seed of all random draws; options : as of `simulate`
     Raises InputError for unusable arguments, and without MuJoCo.
     """
     return simulate(plant, partial(positions, plant, hidden), causes(hidden, plant.n), n, seed, **options)
 
 
 def measure(
-    plant: Plant, hidden: Sequence[Hidden | Cause], readings: pd.DataFrame, *, seed: int, **options: Unpack[Options]
+    plant: Plant, hidden: Sequence[Hidden | Cause], readings: pd.DataFrame, *, seed: int, **options: Any
 ) -> pd.DataFrame:
     """Return the table of a simulated campaign at given poses, with positions of the reflector.
 
@@ -189,7 +177,7 @@ def measure(
     plant : robot as built; hidden : hidden effects that act on it
     readings : table with the columns q1_deg, .. (q1_mm of a prismatic joint) and, as far as they
         are given, time_s, temperature_degC, payload_kg, approach1, ..
-    seed : seed of all random draws; options : as of `Options`
+    seed : seed of all random draws; options : as of `simulate`
     Raises InputError where a column of readings is missing, or all rows are.
     """
     n, columns = len(readings), readings_of(plant)
