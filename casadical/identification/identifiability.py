@@ -8,7 +8,7 @@ one tolerance serves where the columns are scaled (compare Khalil and Dombre 200
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,30 +27,16 @@ NO_EFFECT_REASON = "it has no effect on what was measured"
 
 
 @dataclass(frozen=True)
-class Unidentifiable:
-    """A parameter that is not identifiable and stays at its nominal value.
-
-    name : of the parameter
-    reason : why, in words
-    confounded_with : parameters that together change the measurements as it does, or nearly
-    """
-
-    name: str
-    reason: str
-    confounded_with: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Identifiability:
     """Which parameters the data determine.
 
     independent : names of the identifiable parameters, in the order in which they were given
-    unidentifiable : the parameters fixed at nominal, each with its reason
+    unidentifiable : the reason of each other parameter, which stays at its nominal value, by name
     condition : condition number of the scaled Jacobian of these and the unknown points; 1 if none
     """
 
     independent: tuple[str, ...]
-    unidentifiable: tuple[Unidentifiable, ...]
+    unidentifiable: Mapping[str, str]
     condition: float
 
 
@@ -95,7 +81,7 @@ def analyse(
         tuple(independent[j] for j in np.argsort(-share)[:6] if share[j] > low)
         for share, low in zip(shares.T, least, strict=True)
     ]
-    dropped = []
+    dropped = {}
     for (k, why), those in zip(reasons.items(), alike, strict=True):
         name, reason = names[k - always], why
         if name in fixed:  # fixed whatever the data: the identified ones take up its effect
@@ -105,9 +91,9 @@ def analyse(
             reason = f"it {moved} exactly as {', '.join(those)} {'does' if len(those) == 1 else 'do together'}"
         elif not why:
             reason = "the unknown points absorb it"
-        dropped.append(Unidentifiable(name, reason, those if name in fixed or not why else ()))
+        dropped[name] = reason
     condition = float(singular[0] / max(singular[-1], 1e-300)) if independent_columns else 1.0
-    return Identifiability(tuple(independent), tuple(dropped), condition)
+    return Identifiability(tuple(independent), dropped, condition)
 
 
 def _projection_residual(basis: Array, column: Array) -> tuple[float, Array]:
@@ -129,7 +115,7 @@ def _projection_residual(basis: Array, column: Array) -> tuple[float, Array]:
 
 def drop_poor(
     parameters: Sequence[Parameter], H: Array, variance: float = 1.0
-) -> tuple[list[int], list[Unidentifiable], Array]:
+) -> tuple[list[int], dict[str, str], Array]:
     """Separate parameters that the data determine less accurately than their prior from the others.
 
     They are removed one by one, the worst first. Guesses stay, constrained by their priors. Bounds
@@ -138,12 +124,12 @@ def drop_poor(
     parameters : of the first rows of H; further rows are unknown points, which stay
     H : information matrix of all, shape (size, size), the parameters in units of their scale
     variance : of a residual in units of sigma squared
-    Returns the indices of the remaining parameters, the others with the reason, and the covariance
-    of the remaining ones in units of their scale, shape (p, p), points marginalised.
+    Returns the indices of the remaining parameters, the reasons of the others by name, and the
+    covariance of the remaining ones in units of their scale, shape (p, p), points marginalised.
     """
     priors = np.array([np.inf if p.guess else p.prior / p.scale for p in parameters])
     remaining = list(range(len(H)))
-    poor: list[Unidentifiable] = []
+    poor: dict[str, str] = {}
     while True:
         tested = [k for k in remaining if k < len(parameters)]
         covariance = variance * scaled_inverse(H[np.ix_(remaining, remaining)])[: len(tested), : len(tested)]
@@ -165,5 +151,5 @@ def drop_poor(
         if partners:
             verb = "does" if len(partners) == 1 else "do"
             reason += f"; it moves the measured points nearly as {', '.join(partners)} {verb}"
-        poor.append(Unidentifiable(p.name, reason, partners))
+        poor[p.name] = reason
         remaining.remove(tested[worst])

@@ -432,9 +432,9 @@ def calibrated(
                 in_camera=in_camera,
                 progress=progress,
             )
-            others = [u for u in judged.unidentifiable if u.name not in named]
+            others = {name: why for name, why in judged.unidentifiable.items() if name not in named}
             own = shrunk.identifiability
-            judged = replace(own, unidentifiable=(*own.unidentifiable, *others))
+            judged = replace(own, unidentifiable={**own.unidentifiable, **others})
             result = replace(shrunk, method=result.method, identifiability=judged, departure=departure)
     if not robot.effects:
         return result

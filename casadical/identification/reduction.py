@@ -14,7 +14,6 @@ from casadical.identification.identifiability import (
     MAX_INVISIBLE_LENGTH_RATIO,
     NO_EFFECT_REASON,
     Identifiability,
-    Unidentifiable,
     analyse,
     drop_poor,
 )
@@ -319,7 +318,7 @@ def reduce_and_solve(
             f"{reduced.size} are unknown; measure more poses, free fewer parameters "
             "(free=['placement', ...]), or use priors"
         )
-    poor: list[Unidentifiable] = []
+    poor: dict[str, str] = {}
     largest_sigma = 0.0
     while reduced.names:
         variables = reduced.names, reduced.labels
@@ -338,23 +337,18 @@ def reduce_and_solve(
         else:
             optima[variables] = solution.v
             largest_sigma = largest_sigma or _largest_residual_sigma(reduced, solution.v)
-            worse = [] if problem.priors else _poorly_determined(reduced, solution.v, reduced.variance(solution.v))
+            worse = {} if problem.priors else _poorly_determined(reduced, solution.v, reduced.variance(solution.v))
             if not worse:
                 more = _with_visible(reduced, solution.v, analysis, problem.names)
                 if more is None:
-                    return (
-                        reduced,
-                        solution,
-                        replace(analysis, independent=reduced.names, unidentifiable=(*analysis.unidentifiable, *poor)),
-                    )
+                    others = {**analysis.unidentifiable, **poor}
+                    return reduced, solution, replace(analysis, independent=reduced.names, unidentifiable=others)
                 reduced, start = more
-                analysis = replace(
-                    analysis, unidentifiable=tuple(u for u in analysis.unidentifiable if u.name not in reduced.names)
-                )
+                others = {n: why for n, why in analysis.unidentifiable.items() if n not in reduced.names}
+                analysis = replace(analysis, unidentifiable=others)
                 optima.setdefault((reduced.names, reduced.labels), start)
-        poor += worse
-        gone = {u.name for u in worse}
-        reduced = reduced.with_names([n for n in reduced.names if n not in gone])
+        poor |= worse
+        reduced = reduced.with_names([n for n in reduced.names if n not in worse])
     if largest_sigma > MAX_RESIDUAL_OF_REACH * problem.robot.reach:
         frames = (("base", problem.robot.base), ("tool", problem.robot.tool))
         fixed_frames = " and ".join(name for name, frame in frames if frame.unknown == "none")
@@ -366,10 +360,8 @@ def reduce_and_solve(
             "after the best fit; check the signs and zeros of the joints, their order, units and the DH convention"
             f"{fixed_frames and fixed_frame_remedy}"
         )
-    fixed = (*poor, *analysis.unidentifiable)
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in fixed[:6]) + (
-        f"; and {len(fixed) - 6} more" if len(fixed) > 6 else ""
-    )
+    fixed = [f"{name}: {why}" for name, why in {**poor, **analysis.unidentifiable}.items()]
+    reasons = "; ".join(fixed[:6]) + (f"; and {len(fixed) - 6} more" if len(fixed) > 6 else "")
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
     )
@@ -386,12 +378,8 @@ def _with_visible(
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
         # A tilt of the pedestal also changes the effect of gravity on the joints.
-        tilts = {
-            u.name
-            for u in found.unidentifiable
-            if u.reason == GAUGE_REASON and u.name in ("base_rx", "base_ry", "base_rz")
-        }
-    hidden = {u.name for u in found.unidentifiable if u.reason == NO_EFFECT_REASON} | tilts
+        tilts = {n for n in ("base_rx", "base_ry", "base_rz") if found.unidentifiable.get(n) == GAUGE_REASON}
+    hidden = {n for n, why in found.unidentifiable.items() if why == NO_EFFECT_REASON} | tilts
     if not hidden:
         return None
     wider, at = _with_added_parameters(problem, v, hidden, order)
@@ -405,7 +393,7 @@ def _with_visible(
         wider, at = _with_added_parameters(problem, v, visible, order)
     # The variance is that after one step: what the added parameters explain is not noise.
     cost_ratio = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poorly_determined(wider, at, cost_ratio * problem.variance(v), tilts)}
+    worse = {*_poorly_determined(wider, at, cost_ratio * problem.variance(v), tilts)}
     if not visible & worse:
         return wider, at
     return None if visible <= worse else _with_added_parameters(problem, v, visible - worse, order)
@@ -428,8 +416,8 @@ def _largest_residual_sigma(problem: LeastSquares, v: Array) -> float:
 
 def _poorly_determined(
     problem: LeastSquares, v: Array, variance: float, of_data: Collection[str] = ()
-) -> list[Unidentifiable]:
-    """Return the parameters with a standard error at v above their prior's, each with the reason.
+) -> dict[str, str]:
+    """Return the reasons, by name, of parameters with a standard error at v above their prior's.
 
     variance : of a residual in units of sigma squared
     """
@@ -476,8 +464,7 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     points = 3 * len(problem.labels)
     analysis = analyse(R, [names[k] for k in asked], points, fixed)
     if wide:
-        dropped = {u.name for u in analysis.unidentifiable}
-        return replace(analysis, independent=tuple(n for n in names if n not in dropped))
+        return replace(analysis, independent=tuple(n for n in names if n not in analysis.unidentifiable))
     if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
         return analysis
     determined = analysis.independent

@@ -362,7 +362,7 @@ class Identification(Result):
         from scipy.special import stdtrit
 
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
-        reasons = {u.name: u.reason for u in self.identifiability.unidentifiable}
+        reasons = self.identifiability.unidentifiable
         place_of = {name: k for k, name in enumerate(self.names)}
         before = {p.name: p.prior for p in self.start.parameters if p.guess}
         before |= {name: sigma for name, (_, sigma) in self.problem.given.items()}

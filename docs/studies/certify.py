@@ -31,7 +31,7 @@ def figures(calibration: Calibration) -> dict[str, Any]:
     for method, result in calibration.identifications.items():
         found[method] = {
             "identified": len(result.names),
-            "not_identifiable": [u.name for u in result.identifiability.unidentifiable],
+            "not_identifiable": [*result.identifiability.unidentifiable],
             "outliers": len(result.outliers),
         }
         for name, states in calibration.accuracies[method].items():

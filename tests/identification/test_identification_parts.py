@@ -121,13 +121,13 @@ def test_parameters_that_show_themselves_at_the_optimum_are_added_alone(lengths,
     wider = SimpleNamespace(names=("a", "b", "c"), information=lambda v: seen, decrement=lambda v: 0.0)
     wider.cost = lambda v: 1.0
     monkeypatch.setattr(reduction, "_with_added_parameters", lambda p, v, more, order: added.append(more) or (wider, v))
-    monkeypatch.setattr(reduction, "_poorly_determined", lambda *_: [])
-    unseen = [SimpleNamespace(name=name, reason=NO_EFFECT_REASON) for name in "ab"]
+    monkeypatch.setattr(reduction, "_poorly_determined", lambda *_: {})
+    unseen = dict.fromkeys("ab", NO_EFFECT_REASON)
     problem, names = SimpleNamespace(robot=None, weighed=False, variance=lambda v: 1.0), ("a", "b", "c")
     found = reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable=unseen), names)
     assert (found is None) is (not lengths)
     assert added == [{"a", "b"}, {"a"}][: 2 if len(lengths) == 1 else 1]
-    assert reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable=[]), names) is None
+    assert reduction._with_visible(problem, np.zeros(3), SimpleNamespace(unidentifiable={}), names) is None
 
 
 def test_the_data_say_how_many_times_greater_errors_are_than_their_priors() -> None:

@@ -60,7 +60,7 @@ def on_balls(built, each: int) -> Measurements:
 def test_planes_tell_ratios_of_lengths_and_nothing_of_base_and_size() -> None:
     robot, built = off_by()
     found = identify(robot, on_planes(built, 40), FREE)
-    reasons = {u.name: u.reason for u in found.identifiability.unidentifiable}
+    reasons = found.identifiability.unidentifiable
     assert "scale" in reasons["a2"]
     assert "whole robot" in reasons["base_x"]
     assert not any(n.startswith("base") for n in found.names)
@@ -82,7 +82,7 @@ def test_what_planes_leave_open_is_said_and_no_distance_between_them_is_taken() 
 def test_balls_of_known_radius_tell_the_size() -> None:
     robot, built = off_by()
     found = identify(robot, on_balls(built, 40), FREE)
-    assert not any("scale" in u.reason for u in found.identifiability.unidentifiable)
+    assert not any("scale" in why for why in found.identifiability.unidentifiable.values())
     assert found.sigmas[0][0] == pytest.approx(arms.NOISE, rel=0.25)
     assert np.abs(length_errors(found)).max() < 4
 

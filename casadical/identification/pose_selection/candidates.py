@@ -18,7 +18,7 @@ from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.linear_gaussian.noise import covariance_of
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.accuracy import predicted
-from casadical.identification.identifiability import Unidentifiable, drop_poor
+from casadical.identification.identifiability import drop_poor
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.pose_selection.workspace import Workspace
 from casadical.identification.prior import Prior
@@ -404,11 +404,11 @@ def independent(
     sets: Sequence[Measurements],
     information: Callable[[Sequence[str]], Array],
     prior: Prior | None = None,
-) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
+) -> tuple[tuple[str, ...], Mapping[str, str]]:
     """Return the parameters that an identification from such poses would keep, and the others.
 
-    The others have their reasons. Dependent parameters are omitted first, then, one by one, those
-    that the data would determine less accurately than their own priors (as in
+    The others are given as name -> reason. Dependent parameters are omitted first, then, one by
+    one, those that the data would determine less accurately than their own priors (as in
     `reduction.reduce_and_solve`). With the prior of another campaign, which constrains them, the
     second step is omitted.
 
@@ -427,7 +427,7 @@ def independent(
     determined, poor, _ = drop_poor([robot.parameters[n] for n in identifiable], information(identifiable))
     if not determined:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
-    return tuple(identifiable[k] for k in determined), (*analysis.unidentifiable, *poor)
+    return tuple(identifiable[k] for k in determined), {**analysis.unidentifiable, **poor}
 
 
 def prior_information(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:

@@ -1,13 +1,12 @@
 """Input of a pose search: candidates, independent parameters, prior information, weights."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
-from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.pose_selection.candidates import (
     MAX_POSES_PER_PART,
     SOCKET_COLUMN,
@@ -40,7 +39,7 @@ class DesignProblem:
     circumstances : payloads, approaches and repeats of the poses
     noise : assumed noise of the instrument and the joints
     names : parameters that will be identified
-    unidentifiable : the other requested parameters, each with its reason
+    unidentifiable : the reason of each other requested parameter, by name
     measured : poses measured before, which count as well
     task : poses at which the robot is to be accurate
     pool : candidate poses
@@ -58,7 +57,7 @@ class DesignProblem:
     circumstances: Circumstances
     noise: Noise
     names: tuple[str, ...]
-    unidentifiable: tuple[Unidentifiable, ...]
+    unidentifiable: Mapping[str, str]
     measured: Measurements | None
     task: Measurements
     pool: Candidates

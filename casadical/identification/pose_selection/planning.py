@@ -132,7 +132,7 @@ def _errors(plan: Selection, of_effects: bool) -> list[Table]:
     """
     pairs = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in pairs]
-    rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.unidentifiable]
+    rows += [(name, "-", f"not identifiable: {why}") for name, why in plan.unidentifiable.items()]
     rows = [row for row in rows if row[0] in plan.robot.shown and ("." in row[0]) == of_effects]
     title = f"Expected standard errors{' of effects' if of_effects else ''}"
     return [Table(title, ("parameter", "std error", "unit"), rows, frozenset({1}))] if rows else []

@@ -239,7 +239,8 @@ class Selection(DesignProblem, Shown):
             for name, error in zip(self.names, self.standard_errors, strict=True)
             for p in (self.robot.parameters[name],)
         ]
-        rows += [(u.name, self.robot.parameters[u.name].group, np.nan, "", u.reason) for u in self.unidentifiable]
+        given = self.robot.parameters
+        rows += [(name, given[name].group, np.nan, "", why) for name, why in self.unidentifiable.items()]
         return pd.DataFrame(rows, columns=["name", "group", "expected_std_error", "unit", "not_identifiable"])
 
     @property

@@ -6,7 +6,7 @@ this is the accuracy to expect of the parameters. What the model lacks adds to i
 were measured, too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -15,7 +15,7 @@ import numpy as np
 from casadical.core.basics import M_PER_MM, Array
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.plain import WRITTEN, Key, written
-from casadical.identification.identifiability import Unidentifiable, drop_poor
+from casadical.identification.identifiability import drop_poor
 from casadical.identification.least_squares import INITIAL_SIGMA_ANGLE_RAD, INITIAL_SIGMA_M, LeastSquares
 from casadical.identification.pose_selection import Workspace
 from casadical.identification.pose_selection.candidates import draw, expected, scaled_jacobian
@@ -31,7 +31,7 @@ class Outlook:
 
     method : name of the method
     names : parameters that will be identified
-    unidentifiable : parameters that will not be identified, each with its reason
+    unidentifiable : the reason of each parameter that will not be identified, by name
     numbers : number of observed values
     unknowns : number of independent parameters and coordinates of unknown points
     condition : condition number of the scaled Jacobian
@@ -45,7 +45,7 @@ class Outlook:
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
-        Key("unidentifiable", lambda view: {u.name: u.reason for u in view.unidentifiable}),
+        Key("unidentifiable"),
         Key("scatter", lambda view: view.scatter if view.enough else None, "mm"),
         Key("expected_held_out_mean", "held_out", "mm"),
         Key("expected_accuracy", lambda view: view.accuracy if view.enough and view.names else None, "mm"),
@@ -54,7 +54,7 @@ class Outlook:
 
     method: str
     names: tuple[str, ...] = field(metadata=written("identifiable"))
-    unidentifiable: tuple[Unidentifiable, ...]
+    unidentifiable: Mapping[str, str]
     numbers: int = field(metadata=WRITTEN)
     unknowns: int
     condition: float = field(metadata=WRITTEN)
@@ -67,7 +67,7 @@ class Outlook:
     @property
     def reasons(self) -> list[Table]:
         """Return a table of the reasons why parameters are not identified, if there are any."""
-        rows = [(u.name, u.reason) for u in self.unidentifiable]
+        rows = [*self.unidentifiable.items()]
         return [Table("", ("not identifiable", "why"), rows)] if rows else []
 
     @property
@@ -131,7 +131,7 @@ def outlook(
     return Outlook(
         method,
         identified,
-        (*independent.unidentifiable, *poor),
+        {**independent.unidentifiable, **poor},
         problem.residual_count,
         problem.size,
         independent.condition,

@@ -60,7 +60,7 @@ def test_a_good_problem_is_ready_and_what_it_holds_is_what_calibration_holds(nam
     assert said(found, "error") == ""
     certified = tomllib.loads((ROOT / "problems" / name / "certified.toml").read_text())
     for view in found.outlooks:
-        assert sorted(u.name for u in view.unidentifiable) == sorted(certified[view.method]["not_identifiable"])
+        assert sorted(view.unidentifiable) == sorted(certified[view.method]["not_identifiable"])
         assert len(view.names) == certified[view.method]["identified"]
 
 
