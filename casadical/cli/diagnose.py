@@ -106,7 +106,7 @@ def diagnose(
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
     with importing():
-        from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns, read_logs
+        from casadical.project.diagnosis import diagnose_campaign, effects_named, read_campaigns, read_logs
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODE_OPTIONS)
@@ -152,15 +152,21 @@ def diagnose(
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, fixed at their values: {given[0].own_effects}.")
     chosen = effects_named(effects)
-    options = Options(chosen, seed, bootstrap, "nuisance" if nuisance_masses else "candidate", laws)
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
     for campaign in given:
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             name = file.name if file else ""
-            answer = diagnose_campaign(campaign, options, show).analysed(
-                poses=next_n, networks=network, file=name, show=show
+            diagnosed = diagnose_campaign(
+                campaign,
+                chosen,
+                seed=seed,
+                bootstrap=bootstrap,
+                masses="nuisance" if nuisance_masses else "candidate",
+                laws=laws,
+                show=show,
             )
+            answer = diagnosed.analysed(poses=next_n, networks=network, file=name, show=show)
             if out:
                 show("the robot with its causes")
                 texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)

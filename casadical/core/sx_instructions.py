@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,19 +20,12 @@ from casadical.core.basics import Array
 _OPERATION_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
 
 
-class Instruction(NamedTuple):
-    """One operation of a CasADi function, by CasADi's name in lower case.
-
-    operation : name, such as "add", "if_else_zero", "input", "const", "output" or "call"
-    operands, results : indices in the work vector; the operands of an "input", and the results of
-        an "output", are instead the index of the argument and that of its structural nonzero
-    constant : value of a "const", else 0
-    """
-
-    operation: str
-    operands: Sequence[int]
-    results: Sequence[int]
-    constant: float
+# One operation of a CasADi function:
+# - its name in lower case, such as "add", "if_else_zero", "input", "const", "output" or "call";
+# - its operands and its results as indices in the work vector; the operands of an "input", and the
+#   results of an "output", are instead the index of the argument and that of its structural nonzero;
+# - the value of a "const", else 0.
+Instruction = tuple[str, Sequence[int], Sequence[int], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +50,7 @@ class SxInstructions:
         for k in range(f.n_instructions()):
             name = _OPERATION_NAMES[f.instruction_id(k)]
             constant = float(f.instruction_constant(k)) if name == "const" else 0.0
-            steps.append(Instruction(name, f.instruction_input(k), f.instruction_output(k), constant))
+            steps.append((name, f.instruction_input(k), f.instruction_output(k), constant))
         return cls(f.name(), tuple(steps), max(1, f.sz_w()), tuple(f.nnz_out(k) for k in range(f.n_out())))
 
     def evaluate(

@@ -417,7 +417,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     ]
     if case.observations.plain:
         return tuple(said)
-    reasons = (u.reason.split(";")[0] for u in found.identifiability.unidentifiable)
+    reasons = (why.split(";")[0] for why in found.identifiability.unidentifiable.values())
     # The reason for fixed parameters begins so where measurements do not determine the base.
     said += dict.fromkeys(reason for reason in reasons if reason.startswith("nothing at rest"))
     stops = case.observations.stops

@@ -21,7 +21,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.files import private_folder, write_whole
 from casadical.core.reading import MAX_JSON_BYTES, read_text
-from casadical.core.sx_instructions import Instruction, SxInstructions
+from casadical.core.sx_instructions import SxInstructions
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
 from casadical.robot.kinematics import deflections, gravity_torques
@@ -180,7 +180,7 @@ class Formula:
     def from_data(cls, data: list[Any]) -> Formula:
         """Return the formula that `as_data` stored."""
         (name, steps, places, nonzeros), conditions, rows, columns = data
-        function = SxInstructions(name, tuple(Instruction(*step) for step in steps), places, tuple(nonzeros))
+        function = SxInstructions(name, tuple(map(tuple, steps)), places, tuple(nonzeros))
         return cls(function, tuple(conditions), np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64))
 
 

@@ -31,7 +31,7 @@ from casadical.export.mjcf.moving import (
 from casadical.export.omission import geometry_alone, left_out, rigid_omissions
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.project.calibration import Calibration, calibrate
-from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
+from casadical.project.diagnosis import diagnose_campaign, effects_named, read_campaigns
 from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
@@ -352,8 +352,7 @@ def robot_to_write(
     if campaign is None:
         return read_campaign_robot(source) if source.is_file() else calibrated(source).written_robot
     (given,) = read_campaigns(source, [campaign])
-    asked = Options(effects_named(effects))
-    return diagnose_campaign(given, asked, show).diagnosis.apply()
+    return diagnose_campaign(given, effects_named(effects), show=show).diagnosis.apply()
 
 
 def _into_users(

@@ -123,46 +123,28 @@ def read_campaigns(
     )
 
 
-@dataclass(frozen=True)
-class Options:
-    """Options of a diagnosis, as of `casadical.diagnose`.
-
-    effects : candidate causes
-    seed : of everything random
-    bootstrap : number of draws of noise that calibrate whether there is an effect; 0 for none
-    masses : whether wrong masses of links are a candidate cause, or free in the base model
-    laws : whether an expression for an unlisted effect is searched for; None: where the verdict is
-        unknown, and as a rival of all causes together; True: reported in full, too
-    """
-
-    effects: EffectChoice = "standard"
-    seed: int = 0
-    bootstrap: int = 0
-    masses: Masses = "candidate"
-    laws: bool | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class CampaignDiagnosis(Result):
     """A diagnosed campaign.
 
     campaign : what was diagnosed
-    options : how it was diagnosed
     diagnosis : verdict, causes and gap
+    laws : whether an expression for an unlisted effect is searched for; None: where the verdict is
+        unknown, and as a rival of all causes together; True: reported in full, too
     details : further results, which `analysed` computes
     """
 
     campaign: Campaign
-    options: Options
     diagnosis: Diagnosis
+    laws: bool | None = None
     details: Details = field(default_factory=Details)
 
     def analysed(self, **asked: Any) -> CampaignDiagnosis:
         """Return the diagnosis with its `details` computed by `casadical.diagnosis.analyse`.
 
-        asked : its arguments but those of campaign and options. Raises ConvergenceError.
+        asked : its arguments but `laws` and those of the campaign. Raises ConvergenceError.
         """
-        asked |= {"laws": self.options.laws, "workspace": self.campaign.workspace}
+        asked |= {"laws": self.laws, "workspace": self.campaign.workspace}
         return replace(self, details=analyse(self.diagnosis, **asked))
 
     def brief(self) -> Sequence[Words | Table]:
@@ -176,8 +158,8 @@ class CampaignDiagnosis(Result):
 
     @property
     def searched(self) -> Discovery | None:
-        """Return the search for an unlisted effect, where the options asked for it."""
-        return self.details.laws if self.options.laws else None
+        """Return the search for an unlisted effect, if `laws` asked for it."""
+        return self.details.laws if self.laws else None
 
     def blocks(self) -> list[Words | Table]:
         """Return the text blocks and tables of the page, without its figures."""
@@ -259,25 +241,34 @@ class CampaignDiagnosis(Result):
         return {**texts, **self.searched.files(Path(folder), name)} if self.searched else texts
 
 
-def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
+def diagnose_campaign(
+    campaign: Campaign,
+    effects: EffectChoice = "standard",
+    *,
+    seed: int = 0,
+    bootstrap: int = 0,
+    masses: Masses = "candidate",
+    laws: bool | None = None,
+    show: Show = silent,
+) -> CampaignDiagnosis:
     """Return the diagnosis of a campaign, without `details`.
 
-    options : None: the default ones; show : called with each line of progress
+    effects, seed, bootstrap, masses : as of `casadical.diagnose`; laws : as of `CampaignDiagnosis`
+    show : called with each line of progress
     Raises InputError.
     """
-    asked = options or Options()
     diagnosis = diagnose(
         campaign.robot,
         campaign.sets,
-        asked.effects,
-        seed=asked.seed,
-        bootstrap=asked.bootstrap,
+        effects,
+        seed=seed,
+        bootstrap=bootstrap,
         prior=campaign.prior,
-        masses=asked.masses,
-        laws=asked.laws is not False,
+        masses=masses,
+        laws=laws is not False,
         show=show,
     )
-    return CampaignDiagnosis(campaign, asked, diagnosis)
+    return CampaignDiagnosis(campaign, diagnosis, laws)
 
 
 @dataclass(frozen=True, eq=False)

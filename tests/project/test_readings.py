@@ -14,7 +14,6 @@ from command_line import ROOT, main, own_planar
 from casadical import calibrate, read_problem, read_robot, read_urdf, write_robot
 from casadical.core.parts import Coupling, Placement
 from casadical.export.controller.inverse import Postures
-from casadical.export.controller.programs.target import Posture
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.measurements.columns import Source
 from casadical.measurements.logs.reading import read_log
@@ -142,7 +141,7 @@ def test_a_configuration_is_that_of_the_controllers_readings() -> None:
     T = np.eye(4)
     p, T[:3, :3] = plain.pose(q[0], plain.parameters.values)
     T[:3, 3] = np.array(p).ravel()
-    found = Postures(turned, np.eye(4)).solutions(T, Posture(*after[0].tolist()), lambda _: (), ())
+    found = Postures(turned, np.eye(4)).solutions(T, tuple(after[0].tolist()), lambda _: (), ())
     assert np.abs(found - J[0]).max(axis=1).min() < 1e-6
 
 

@@ -27,7 +27,7 @@ from casadical.identification.accuracy import Accuracy, predicted, summarise
 from casadical.identification.identification import calibrate_base_model, calibrated, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
-from casadical.project.diagnosis import Campaign, Options, diagnose_campaign
+from casadical.project.diagnosis import Campaign, diagnose_campaign
 from casadical.robot.robot import Robot
 
 # Fraction of the poses from which models are identified, and of those at which they are replayed.
@@ -157,7 +157,7 @@ def replay_campaign(
     m, _ = derive(m, ["progress"])
     parts = m.split(REPLAY_SHARES, seed)
     fitted, held_out = parts["identify"], parts["report"]
-    diagnosed = diagnose_campaign(Campaign(robot, (fitted,)), Options(effects, seed), show).diagnosis
+    diagnosed = diagnose_campaign(Campaign(robot, (fitted,)), effects, seed=seed, show=show).diagnosis
     return Replay(m.source, robot.name, _stages(robot, fitted, held_out, diagnosed, diagnosed.apply, show), diagnosed)
 
 

@@ -24,7 +24,7 @@ from casadical.export.controller.programs.language import (
     repeated,
     words,
 )
-from casadical.export.controller.programs.target import Given, Number, Posture, Target, numbers
+from casadical.export.controller.programs.target import Given, Number, Target, numbers
 
 # Lark grammar of the positions of a listing, see `ParsedText`.
 FANUC_GRAMMAR = r"""
@@ -147,7 +147,7 @@ def _configured(target: Target, config: object) -> Target:
     turns = integers(match.group(4, 5, 6))
     if not turns:
         return target.leave(f"CONFIG {config[:40]} has a number that is too large")
-    posture = Posture(match[3] == "B", match[2] == "D", match[1] == "N")
+    posture = match[3] == "B", match[2] == "D", match[1] == "N"
     return replace(target, posture=posture, turns=turns, turn_text=turn_text)
 
 

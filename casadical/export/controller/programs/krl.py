@@ -23,7 +23,7 @@ from casadical.export.controller.programs.language import (
     repeated,
     words,
 )
-from casadical.export.controller.programs.target import Given, Posture, Target, numbers
+from casadical.export.controller.programs.target import Given, Target, numbers
 
 # Lark grammar of assignments, motions and selections of tools, see `ParsedText`.
 KRL_GRAMMAR = r"""
@@ -262,7 +262,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
         return made
     return replace(
         made,
-        posture=Posture(bool(status & 1), not status & 2, bool(status & 4)),
+        posture=(bool(status & 1), not status & 2, bool(status & 4)),
         turns=tuple(turn >> i & 1 for i in range(6)),
         turn_text=numbers([values["T"]], [1.0]),
         accurate=bool(status & 8),

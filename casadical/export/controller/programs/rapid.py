@@ -13,7 +13,7 @@ from lark import Token, Tree
 from casadical.core.basics import M_PER_MM, Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.language import ParsedText, ProgramLanguage, integers, is_number, parts
-from casadical.export.controller.programs.target import Given, Posture, Target, numbers
+from casadical.export.controller.programs.target import Given, Target, numbers
 
 # Lark grammar of declarations, motions and assignments, see `ParsedText`.
 RAPID_GRAMMAR = r"""
@@ -178,7 +178,8 @@ class _Module:
         if not configuration:
             return Target(line, name, False, pose, skip_reason="its configuration has a number that is too large")
         *turns, cfx = configuration
-        posture, turn_text = Posture(bool(cfx & 4), bool(cfx & 2), bool(cfx & 1)), numbers(flat[2][:3], [1.0] * 3)
+        posture = bool(cfx & 4), bool(cfx & 2), bool(cfx & 1)
+        turn_text = numbers(flat[2][:3], [1.0] * 3)
         made = Target(line, name, False, pose, posture, tuple(turns), turn_text, external=external)
         length = float(np.linalg.norm(made.si[3:]))
         if not abs(length - 1) <= 1e-2:

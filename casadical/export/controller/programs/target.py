@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -51,17 +51,10 @@ class Number:
         return self.text.startswith("'") or text.startswith("'") or float(self.text) != float(text)
 
 
-class Posture(NamedTuple):
-    """Arm configuration: which of the eight solutions of a six-axis robot's inverse kinematics.
-
-    behind : whether the wrist is behind axis 1
-    bent_back : whether the wrist is behind the line from axis 2 through axis 3
-    wrist_negative : whether the reading of joint 5 is negative
-    """
-
-    behind: bool
-    bent_back: bool
-    wrist_negative: bool
+# Arm configuration, one of the eight solutions of a six-axis robot's inverse kinematics: whether the
+# wrist is behind axis 1, whether it is behind the line from axis 2 through axis 3, and whether the
+# reading of joint 5 is negative.
+Posture = tuple[bool, bool, bool]
 
 
 @dataclass(frozen=True, eq=False)
