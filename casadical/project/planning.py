@@ -186,15 +186,16 @@ def plan_problem(
     robot, prior = carried(robot_of(path))
     before = read_campaign(path, measured, robot) if measured else None
     candidates = [c for c in named(robot, effects) if c.listed] if effects else []
-    # An effect with a grid of settings is represented by the middle one.
-    middle = [e for c in candidates for e in c.variants[len(c.variants) // 2]]
+    # An effect with a grid of settings is represented by the middle one, and once where it is of a
+    # joint and of all joints together.
+    middle = {e.label: e for c in candidates for e in c.variants[len(c.variants) // 2]}
     if noise_mm is None and measured is None:
         noise_mm = noise_declared(path, robot, places)
     noise = None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * joint_noise_urad)
     return plan(
         robot,
         n,
-        middle,
+        [*middle.values()],
         workspace=read_workspace(room, robot) if room else None,
         measured=before,
         noise=noise,

@@ -126,6 +126,7 @@ def test_without_a_number_it_is_the_stopping_rule(monkeypatch, tmp_path, capsys,
     [
         (("-n", "3"), "3 poses give 9 numbers"),
         (("-n", "20", "--for", "rust"), "no effect 'rust'"),
+        (("-n", "3", "--for", "backlash"), "3 poses give 9 numbers, but"),
         (("-n", "20", "--payloads", "1;2"), "allowed: numbers by commas"),
         (("-n", "6", "--measured", "none.csv"), "none.csv: no such file"),
     ],
