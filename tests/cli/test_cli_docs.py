@@ -2,12 +2,11 @@
 
 import shlex
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from command_line import run
+from walk import blocks
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "cli.md"
@@ -16,13 +15,10 @@ PAGE = ROOT / "docs" / "cli.md"
 def examples() -> list[tuple[str, list[str]]]:
     """Commands, and the lines that the page shows below each."""
     found: list[tuple[str, list[str]]] = []
-    inside = False
-    for line in PAGE.read_text(encoding="utf-8").splitlines():
-        if line.startswith("```"):
-            inside = line == "```console"
-        elif inside and line.startswith("$ "):
+    for line in "".join(block.text for block in blocks(PAGE) if block.language == "console").splitlines():
+        if line.startswith("$ "):
             found.append((line[2:], []))
-        elif inside:
+        else:
             found[-1][1].append(line)
     return found
 
@@ -39,29 +35,6 @@ def shown_in_order(wanted: list[str], printed: list[str]) -> str | None:
             return line
         at, anywhere = places[0] + 1, False
     return None if anywhere or at == len(printed) else f"the page ends before: {printed[at]}"
-
-
-def test_the_help_of_every_command_has_an_example_that_parses() -> None:
-    import typer
-
-    from casadical.cli import app
-
-    found = dict(commands(typer.main.get_command(app), "casadical"))
-    assert len(found) >= 12
-    for name, command in found.items():
-        example = next(line for line in command.help.splitlines() if line.strip().startswith("Example: "))
-        assert example.strip().removeprefix("Example: ").startswith(f"{name} ")
-        arguments = example.split(name, 1)[1].split()
-        command.make_context(name, arguments, resilient_parsing=False)
-
-
-def commands(command: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Every command by its whole name; that of a group's default is the group's."""
-    if hasattr(command, "commands"):
-        for word, below in command.commands.items():
-            yield from commands(below, name if word == "robot" else f"{name} {word}")
-    else:
-        yield name, command
 
 
 @pytest.mark.slow

@@ -48,8 +48,27 @@ def test_every_command_can_be_quiet_and_keep_json_and_tells_all_about_itself(nam
     assert {"--quiet", "--json"} <= found.keys()
     assert "-q" in found["--quiet"].opts
     assert "Exit codes:" in (command.help or "")
+    example = next(line.strip() for line in (command.help or "").splitlines() if line.strip().startswith("Example: "))
+    own, words = name.removesuffix(" robot"), example.removeprefix("Example: casadical ")  # a group has a default
+    assert words.startswith(f"{own} ")
+    command.make_context(name, words.removeprefix(own).split(), resilient_parsing=False)
     for option, parameter in found.items():
         assert getattr(parameter, "help", None), f"{name} {option} has no help"
+
+
+def test_options_defaults_and_limits_are_those_that_were_promised() -> None:
+    """A line for each option: its names, whether it is needed or may be repeated, its default and limits.
+
+    What changes here is named in the changelog, with old and new.
+    """
+    lines = []
+    for name, command in ALL.items():
+        for p in command.params:
+            facts = [fact for fact in ("required", "multiple", "is_eager") if getattr(p, fact)]
+            facts += [f"{k}={v}" for k in ("default", "min", "max") if (v := getattr(p, k)) is not None]
+            facts += [f"nargs={p.nargs}"] * (p.nargs != 1)
+            lines.append(" ".join([name, "/".join([*p.opts, *p.secondary_opts]), *facts]))
+    assert lines == Path(__file__).with_name("contract.txt").read_text(encoding="utf-8").splitlines()
 
 
 def test_an_option_means_the_same_everywhere() -> None:

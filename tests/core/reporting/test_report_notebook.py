@@ -2,35 +2,15 @@
 
 import json
 import re
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from parsed import Parsed
 
 from casadical import plot
 from casadical.core.basics import InputError
 from casadical.core.reporting.blocks import Table, Words
 from casadical.core.reporting.result import Result, Shown, html
-
-
-class Cells(HTMLParser):
-    """Text by tag; the parser refuses nothing, so that open tags are counted."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.cells: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs) -> None:
-        self.open.append(tag)
-
-    def handle_endtag(self, tag) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data) -> None:
-        if self.open and self.open[-1] in ("td", "th"):
-            self.cells.append(data)
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +31,9 @@ def test_results_show_themselves_in_a_line_and_in_tables(shown, name) -> None:
     text = repr(shown[name])
     assert len(text) < 200
     assert "\n" not in text
-    page = Cells(shown[name]._repr_html_())
+    page = Parsed(shown[name]._repr_html_())
     assert page.open == []
-    assert len(page.cells) > 4
+    assert len(page.texts["th"] + page.texts["td"]) > 4
     assert len(shown[name]._repr_html_()) < 40_000
 
 
@@ -85,7 +65,7 @@ def test_every_length_has_its_unit(shown) -> None:
     assert re.fullmatch(r"<Accuracy of 15 poses: mean [\d.]+ mm, 95 % below [\d.]+ mm, max [\d.]+ mm>", repr(a))
     assert f"{1e3 * a.mean:.4f} mm" in repr(a)
     assert f"-> {1e3 * a.mean:.4f} mm" in repr(shown["calibration"])
-    assert {"a [mm]", "theta [deg]"} <= set(Cells(shown["robot"]._repr_html_()).cells)
+    assert {"a [mm]", "theta [deg]"} <= {*Parsed(shown["robot"]._repr_html_()).texts["th"]}
 
 
 def test_bars_are_as_long_as_their_values_and_text_stays_text() -> None:

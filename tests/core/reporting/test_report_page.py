@@ -4,8 +4,9 @@ import hashlib
 import re
 from dataclasses import replace
 from datetime import UTC, datetime
-from html.parser import HTMLParser
 from pathlib import Path
+
+from parsed import Parsed
 
 from casadical import report
 from casadical.core.reporting.blocks import Words, mm
@@ -17,40 +18,15 @@ from casadical.project.reporting import campaign_files, problem_files
 ROOT = Path(__file__).parents[3]
 
 
-class Reader(HTMLParser):
-    """Headings, tags that load something, and whether all elements are closed."""
-
-    EMPTY = ("meta", "link", "img", "br")
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.headings: list[str] = []
-        self.sources: list[str] = []
-        self.open: list[str] = []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs) -> None:
-        self.sources += [v for k, v in attrs if k in ("src", "href") and not v.startswith(("#", "data:"))]
-        if tag not in self.EMPTY:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data) -> None:
-        if self.open and self.open[-1] == "h2":
-            self.headings.append(data)
-
-
 def test_the_order_is_that_of_a_reader(calibration_file, diagnosis_file) -> None:
-    calibration = Reader(calibration_file.read_text(encoding="utf-8"))
-    diagnosis = Reader(diagnosis_file.read_text(encoding="utf-8"))
+    calibration = Parsed(calibration_file.read_text(encoding="utf-8"))
+    diagnosis = Parsed(diagnosis_file.read_text(encoding="utf-8"))
     first = ["Verdict", "Errors before and after", "Error of each pose", "In the workspace", "Where the gap lies"]
-    assert calibration.headings == [
+    assert calibration.texts["h2"] == [
         *first, "Which causes", "Parameters", "Can the fit be trusted", "Training of the networks",
         "What to measure next", "Provenance",
     ]  # fmt: skip
-    assert diagnosis.headings == [
+    assert diagnosis.texts["h2"] == [
         *first, "Which causes, and how sure", "Joint error curves", "What these poses cannot tell",
         "Replayed in a simulator", "Parameters of the base model", "Can the fit be trusted", "What to measure next",
         "Provenance",
