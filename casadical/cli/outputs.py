@@ -167,17 +167,15 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
     except OSError as error:
         raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
     if text.strip() and not _is_output(path, text):
-        raise InputError(
-            f"{shown(path)}: is there and was not written by casadical, or was changed since; name "
-            f"another file, or {remedy}"
-        )
+        text = "is there and was not written by casadical, or was changed since; name another file"
+        raise InputError(f"{shown(path)}: {text}, or {remedy}")
 
 
 def _is_output(path: Path, text: str) -> bool:
     """Return whether a file may be replaced as an earlier output of casadical.
 
     JSON is recognised by its keys, other text by the word casadical. A PNG, and a CSV with several
-    columns, counts as an output unless the latter has measured positions.
+    columns, counts as an output unless the latter has positions that are measured.
     """
     # Sets of keys by which each kind of JSON that `--json` writes is recognised.
     json_signatures = (
@@ -197,6 +195,8 @@ def _is_output(path: Path, text: str) -> bool:
     # Columns by which a CSV is recognised as measurements, which are never overwritten.
     position_columns = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
     if path.suffix == ".csv":
-        header = text.partition("\n")[0].strip().split(",")
-        return len(header) > 1 and not position_columns & set(header)
+        header, *rows = (line.strip().split(",") for line in text.splitlines())
+        n = len(position_columns & {*header})  # which stand last and are empty in poses to measure
+        last = position_columns >= {*header[len(header) - n :]}
+        return len(header) > 1 and last and all(row[len(row) - n :] == n * [""] for row in rows)
     return "casadical" in text or text.startswith("\ufffdPNG")

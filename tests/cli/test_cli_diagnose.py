@@ -40,10 +40,8 @@ def test_several_campaigns_are_answered_in_order_and_have_a_folder_each(both) ->
     text, answers, out = both
     assert sorted(p.parent.name for p in out.rglob("*.toml")) == ["ur10e-P03", "ur10e-P06"]
     assert [a["campaign"] for a in answers] == ["ur10e-P03", "ur10e-P06"]
-    assert [(a["causes"][0]["effect"], a["causes"][0]["joint"]) for a in answers] == [
-        ("gear_eccentricity", 5),
-        ("friction_windup", 3),
-    ]
+    causes = [(a["causes"][0]["effect"], a["causes"][0]["joint"]) for a in answers]
+    assert causes == [("gear_eccentricity", 5), ("friction_windup", 3)]
     assert all(a["verdict"] == "explained" for a in answers)
     for part in ("ur10e-P03", "ur10e-P06", "Explained: ", "gear_eccentricity@5", "friction_windup@3", "--details"):
         assert part in text

@@ -84,6 +84,8 @@ def test_a_plan_that_was_measured_is_not_replaced(monkeypatch, capsys, tmp_path,
     shutil.copy(problem / "poses.csv", tmp_path / "plan.csv")
     assert main(monkeypatch, "plan", problem, "-n", 6, "--out", tmp_path / "plan.csv") == 2
     assert "move this one away" in capsys.readouterr().err
+    (tmp_path / "plan.csv").write_text("q1_deg,q2_deg,x_mm,y_mm,z_mm\n1,2,,,\n")  # nobody measured it
+    assert main(monkeypatch, "plan", problem, "-n", 6, "--out", tmp_path / "plan.csv") == 0
 
 
 def test_the_second_writer_of_a_folder_is_told_before_it_works(monkeypatch, capsys, tmp_path, problem) -> None:
