@@ -10,16 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import MUJOCO
 
 from casadical.effects import registry
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
 
 import counterpart_pairs
 import effects_and_physics as study
 from pairs_of_effects import tendon
 
+pytestmark = MUJOCO
 CASES = {case.name: case for case in study.CASES}
 # On one robot, one of each place in the engine: motors, springs, mechanism, settings, measurement.
 FAST = ("gear_eccentricity", "friction_windup", "payload_error", "axis_wobble", "refraction")

@@ -6,6 +6,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from marks import MUJOCO
 
 from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy, quaternion
@@ -18,7 +19,7 @@ from casadical.project.problem import read_campaign_robot
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
+pytestmark = MUJOCO
 ROOT = Path(__file__).parents[3]
 JOINTS = tuple(f"axis_{c}" for c in "abcdef")
 FOOT = frame(from_rpy(np.array([0.3, -0.2, 1.1])), np.array([0.5, -1.0, 0.7]))
@@ -58,6 +59,8 @@ def robot() -> Robot:
 
 
 def test_the_users_model_gets_the_calibrated_kinematics(robot: Robot, tmp_path: Path) -> None:
+    import mujoco
+
     (tmp_path / "mine.xml").write_text(users_model(robot))
     after = calibrated(robot)
     text = into_mjcf(robot, after, tmp_path / "mine.xml", JOINTS)
@@ -75,6 +78,8 @@ def test_the_users_model_gets_the_calibrated_kinematics(robot: Robot, tmp_path: 
 
 
 def test_springs_are_added_beside_the_joints_when_asked_for(robot: Robot, tmp_path: Path) -> None:
+    import mujoco
+
     (tmp_path / "mine.xml").write_text(users_model(robot))
     model = mujoco.MjModel.from_xml_string(into_mjcf(robot, robot, tmp_path / "mine.xml", JOINTS, springs=True))
     for name, row in zip(JOINTS, robot.joints, strict=True):

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench import robot as robot_of
+from marks import MUJOCO
 
 from casadical.core.basics import ConvergenceError
 from casadical.effects import (
@@ -36,7 +37,7 @@ from casadical.measurements.reading import read_measurements
 from casadical.robot.robot import Robot
 from casadical.robot.urdf import new_urdf
 
-mujoco = pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra withheld)")
+pytestmark = MUJOCO
 ROOT = Path(__file__).parents[3]
 ROBOTS = ("hh800", "kr210", "ur10e")
 
@@ -171,6 +172,8 @@ def test_the_stiffness_of_a_coordinate_is_the_slope_of_its_force() -> None:
 
 def test_mujocos_own_motion_comes_to_the_same_rest() -> None:
     """Time steps, with soft constraints and stops, from the command's pose on."""
+    import mujoco
+
     effect = Backlash(5, 0.0, 0.002)
     robot = as_built(robot_of("hh800")).with_effect(effect).with_values({"backlash@5.half": 8e-5})
     m = poses(robot, 2, **{f"approach{i}": np.ones(2) for i in range(1, 7)})
