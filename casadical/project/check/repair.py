@@ -13,13 +13,14 @@ import tomlkit
 
 from casadical.core.basics import Array, InputError
 from casadical.core.files import write_together
-from casadical.core.parts import Coupling
+from casadical.core.parts import Coupling, with_estimated_masses
 from casadical.core.reading import load_toml, read_text
 from casadical.measurements.columns import ORIENTATION, Source
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit
 from casadical.project.check.slip_list import MIRROR_WARNING, error_in_mm, meant_length, other_lengths
+from casadical.project.new.texts import with_masses
 from casadical.project.problem import read_problem, read_problem_robot
 from casadical.project.problem_file import UrdfTable, as_toml, robot_of_file
 from casadical.project.recognition import understood
@@ -80,7 +81,17 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
             for key in [k for k in part if re.fullmatch(r"(a|d|b|xyz)_mm?", k)]:
                 own = np.array(part[key], dtype=float) * times
                 part[key] = own.tolist()
-        texts[place] = tomlkit.dumps(document)
+        # Estimated masses lie in the frames of the other convention: they are estimated again.
+        again = fit.hypothesis.rows and document.get("masses") == "estimated"
+        if again:
+            del document["masses"], document["width"]["body"]
+            for row in rows:
+                del row["body"]
+        text = tomlkit.dumps(document)
+        if again:
+            bare = robot_from(tomllib.loads(text), place.name, folder=place.parent)
+            text = with_masses(text, with_estimated_masses(bare), convention == "standard")
+        texts[place] = text
         repaired_robot = robot_from(tomllib.loads(texts[place]), place.name, folder=place.parent)
     # The order of a quaternion's numbers was inferred from readings with the slip: infer it again.
     others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}

@@ -163,6 +163,18 @@ def test_one_link_in_metres_is_named_and_repaired(tmp_path: Path) -> None:
     assert precheck(folder).ok
 
 
+def test_estimated_masses_lie_in_the_frames_of_the_convention_that_was_meant(tmp_path: Path) -> None:
+    rows = "0,90,180.7,0\n-612.7,0,0,0\n-571.55,0,0,0\n0,90,174.15,0\n0,-90,119.85,0\n0,0,116.55,0\n"
+    (tmp_path / "dh.csv").write_text(f"a_mm,alpha_deg,d_mm,theta_deg\n{rows}")
+    new_problem(tmp_path / "right", dh=tmp_path / "dh.csv", convention="standard")
+    new_problem(tmp_path / "wrong", dh=tmp_path / "dh.csv", data=tmp_path / "right" / "poses.csv")
+    assert '+convention = "standard"' in repaired(precheck(tmp_path / "wrong"))
+    right, mended = ((tmp_path / name / "robot.toml").read_text() for name in ("right", "wrong"))
+    bodies = [line for line in right.splitlines() if line.startswith(("body", "mass_share", "com_mm"))]
+    assert len(bodies) == 8
+    assert bodies == [line for line in mended.splitlines() if line.startswith(("body", "mass_share", "com_mm"))]
+
+
 @pytest.mark.slow
 def test_lengths_of_the_whole_robot_in_another_unit_are_repaired_there(tmp_path: Path) -> None:
     """Not in the positions: the accuracy would be a thousand times too good."""
