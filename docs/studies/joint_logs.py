@@ -13,10 +13,8 @@ those of the clock and of lost samples on the log. `make` prints the sha256 of t
 import copy
 import hashlib
 import json
-import resource
 import subprocess
 import sys
-import time
 import tomllib
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -35,22 +33,9 @@ LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 240
 HEALTHY = sys.argv[5:] == ["healthy"]
 STEP, ROW = 0.001, 8
 LISTED = [
-    "payload",
-    "coulomb_friction",
-    "viscous_friction",
-    "load_friction",
-    "transport_delay",
-    "lag",
-    "torque_constant",
-    "ripple",
-    "saturation",
-    "spring",
-    "contact",
-    "zero_offset_step",
-    "servo_stiffness",
-    "clock_scale",
-    "lost_samples",
-    "warm_up",
+    *("payload", "coulomb_friction", "viscous_friction", "load_friction", "transport_delay", "lag"),
+    *("torque_constant", "ripple", "saturation", "spring", "contact", "zero_offset_step"),
+    *("servo_stiffness", "clock_scale", "lost_samples", "warm_up"),
 ]
 # On no list: a stick one way near one angle; a push in a fixed rhythm; drag by another joint's motion; gusts.
 UNLISTED = ["one_way_stick", "periodic_push", "drag_of_other", "gusts"]
@@ -99,6 +84,24 @@ ARMS = {
         "payload": (0.02, 0.25),
     },
 }
+# Sizes of causes from barely visible to clear; of those that are not here (0.3, 3.0).
+RANGES = {
+    "coulomb_friction": (0.12, 1.5),
+    "viscous_friction": (0.2, 2.5),
+    "load_friction": (0.5, 5.0),
+    "warm_up": (0.1, 0.8),
+    "transport_delay": (0.002, 0.05),
+    "lag": (0.003, 0.08),
+    "torque_constant": (0.03, 0.3),
+    "servo_stiffness": (0.08, 0.5),
+    "ripple": (0.08, 1.2),
+    "spring": (0.15, 2.0),
+    "contact": (0.5, 6.0),
+    "zero_offset_step": (0.003, 0.04),
+    "clock_scale": (0.003, 0.05),
+    "lost_samples": (0.006, 0.08),
+    "saturation": (0.03, 0.45),
+}
 LONG = {"ur10e": [0.2, 0.62, 0.57, 0.12, 0.12, 0.08], "so101": []}
 
 
@@ -135,28 +138,24 @@ def urdf_of(arm: str) -> str:
 def drive_of(arm: str) -> str:
     """What the user knows of the drives, as a table [drive]."""
     of = ARMS[arm]
-    lines = ["[drive]", 'servo = "position, P and D"', f"kp_Nm_per_rad = {of['kp']}", f"kd_Nms_per_rad = {of['kd']}"]
-    lines += [
+    lines = [
+        "[drive]",
+        'servo = "position, P and D"',
+        f"kp_Nm_per_rad = {of['kp']}",
+        f"kd_Nms_per_rad = {of['kd']}",
         f"torque_limit_Nm = {of['limit']}",
         f"rotor_inertia_at_joint_kgm2 = {of['rotor']}",
         'encoder_side = "joint"',
-    ]
-    lines += [
         f"encoder_quantum_rad = {of['quantum']}",
         f"delay_s = {of['delay']}",
         f"command_filter_s = {of['lag']}",
         "log_rate_Hz = 125",
     ]
     if arm == "ur10e":
-        lines += [
-            "gear_ratio = 101",
-            f"torque_constant_Nm_per_A = {[round(k / 101, 6) for k in of['per_A']]}",
-            "current_quantum_A = 0.01",
-        ]
-        lines[1] = (
-            'servo = "position: kp e + kd (command_v - v), and feed-forward of the rigid bodies '
-            'of this URDF along the command"'
-        )
+        constants = [round(k / 101, 6) for k in of["per_A"]]
+        lines += ["gear_ratio = 101", f"torque_constant_Nm_per_A = {constants}", "current_quantum_A = 0.01"]
+        forward = "feed-forward of the rigid bodies of this URDF along the command"
+        lines[1] = f'servo = "position: kp e + kd (command_v - v), and {forward}"'
     return "\n".join(lines) + "\n"
 
 
@@ -177,20 +176,11 @@ def model_of(arm: str, *days: dict) -> mujoco.MjModel:
 def physical_urdf(arm: str, spread: dict | None, payload: float) -> str:
     """The URDF, masses and mass centres off by `spread`; with a payload on the last link."""
     tree = ET.fromstring(urdf_of(arm))
-    ET.SubElement(
-        ET.SubElement(tree, "mujoco"),
-        "compiler",
-        fusestatic="true",
-        balanceinertia="true",
-        boundinertia="1e-7",
-        boundmass="1e-6",
-    )
+    options = {"fusestatic": "true", "balanceinertia": "true", "boundinertia": "1e-7", "boundmass": "1e-6"}
+    ET.SubElement(ET.SubElement(tree, "mujoco"), "compiler", options)
     if payload:
-        last = (
-            "link_6"
-            if arm == "ur10e"
-            else next(j.find("parent").get("link") for j in tree.iter("joint") if j.get("name") == "gripper")
-        )
+        child, side = ("joint_6", "child") if arm == "ur10e" else ("gripper", "parent")
+        last = next(j.find(side).get("link") for j in tree.iter("joint") if j.get("name") == child)
         link = ET.SubElement(ET.SubElement(tree, "link", name="load"), "inertial")
         ET.SubElement(link, "origin", xyz="0.01 0 0.06" if arm == "ur10e" else "0 0 -0.06")
         ET.SubElement(link, "mass", value=f"{payload}")
@@ -200,12 +190,8 @@ def physical_urdf(arm: str, spread: dict | None, payload: float) -> str:
         ET.SubElement(held, "parent", link=last)
         ET.SubElement(held, "child", link="load")
     if spread:
-        for link, factor, shift in zip(
-            [x for x in tree.iter("link") if x.find("inertial/mass") is not None],
-            spread["mass"],
-            spread["com"],
-            strict=False,
-        ):
+        heavy = [x for x in tree.iter("link") if x.find("inertial/mass") is not None]
+        for link, factor, shift in zip(heavy, spread["mass"], spread["com"], strict=False):
             if link.get("name") == "load":
                 continue
             mass, inertia, origin = (link.find(f"inertial/{x}") for x in ("mass", "inertia", "origin"))
@@ -245,23 +231,9 @@ def day_of(truth: dict, arm: str, rng: np.random.Generator) -> dict:
     for what in ("dry", "viscous", "load"):
         day[what] = day[what] * np.exp(rng.normal(0, 0.05) + rng.normal(0, 0.07, 6))
     warm = rng.uniform(0.5, 3.0)
-    day |= {
-        "arm": arm,
-        "warm": warm,
-        "cold": 0.0,
-        "cold_s": 20.0,
-        "limit": np.array(of["limit"]),
-        "payload": 0.0,
-        "noise": rng.uniform(0.7, 1.5),
-    }
-    day |= {
-        "delay": of["delay"] + rng.normal(0, 0.0005, 6),
-        "lag": of["lag"] + np.zeros(6),
-        "kind": "",
-        "joint": 0,
-        "size": 0.0,
-        "at": 0.0,
-    }
+    day |= {"arm": arm, "warm": warm, "cold": 0.0, "cold_s": 20.0, "limit": np.array(of["limit"])}
+    day |= {"payload": 0.0, "noise": rng.uniform(0.7, 1.5), "delay": of["delay"] + rng.normal(0, 0.0005, 6)}
+    day |= {"lag": of["lag"] + np.zeros(6), "kind": "", "joint": 0, "size": 0.0, "at": 0.0}
     day |= {"seed": int(rng.integers(1 << 31)), "torque": True}
     return day
 
@@ -324,35 +296,10 @@ def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np
     if d["kind"]:
         d["also"] = {k: d[k] for k in OF_CAUSE if k in d}
     sign = float(rng.choice([-1, 1]))
-    ranges = {
-        "coulomb_friction": (0.12, 1.5),
-        "viscous_friction": (0.2, 2.5),
-        "load_friction": (0.5, 5.0),
-        "warm_up": (0.1, 0.8),
-    }
-    ranges |= {
-        "transport_delay": (0.002, 0.05),
-        "lag": (0.003, 0.08),
-        "torque_constant": (0.03, 0.3),
-        "servo_stiffness": (0.08, 0.5),
-    }
-    ranges |= {
-        "ripple": (0.08, 1.2),
-        "spring": (0.15, 2.0),
-        "contact": (0.5, 6.0),
-        "payload": of["payload"],
-        "zero_offset_step": (0.003, 0.04),
-    }
-    ranges |= {"clock_scale": (0.003, 0.05), "lost_samples": (0.006, 0.08), "saturation": (0.03, 0.45)}
-    low, high = ranges.get(kind, (0.3, 3.0))
+    low, high = of["payload"] if kind == "payload" else RANGES.get(kind, (0.3, 3.0))
     size = float(low * (high / low) ** level)
-    d |= {
-        "kind": kind,
-        "joint": j,
-        "size": size,
-        "at": float(rng.uniform(*np.array(of["range"])[j] * 0.6)),
-        "sign": sign,
-    }
+    at = float(rng.uniform(*np.array(of["range"])[j] * 0.6))
+    d |= {"kind": kind, "joint": j, "size": size, "at": at, "sign": sign}
     if kind in ("coulomb_friction", "viscous_friction", "load_friction"):
         d[{"c": "dry", "v": "viscous", "l": "load"}[kind[0]]][j] *= 1 + size
     elif kind == "transport_delay":
@@ -371,16 +318,12 @@ def put(day: dict, kind: str, joint: int, level: float, top: np.ndarray, rng: np
         d["limit"] = d["limit"].copy()
         d["limit"][j] = (1 - size) * top[j]
     elif kind == "ripple":
-        d["cog_n"], d["cog_at"] = (
-            float(rng.choice([1, 2, 3, 6, 8, 101 if day["arm"] == "ur10e" else 20])),
-            float(rng.uniform(0, 6.28)),
-        )
+        d["cog_n"] = float(rng.choice([1, 2, 3, 6, 8, 101 if day["arm"] == "ur10e" else 20]))
+        d["cog_at"] = float(rng.uniform(0, 6.28))
     elif kind in ("contact", "one_way_stick", "gusts", "periodic_push", "drag_of_other", "spring"):
-        d["phase"], d["other"], d["one_sided"] = (
-            float(rng.uniform(0, 1)),
-            (j + int(rng.integers(1, 5))) % 6,
-            bool(rng.integers(2)),
-        )
+        d["phase"] = float(rng.uniform(0, 1))
+        d["other"] = (j + int(rng.integers(1, 5))) % 6
+        d["one_sided"] = bool(rng.integers(2))
     return d
 
 
@@ -478,13 +421,8 @@ def bristles(
     level = slide * (1 + (p["static"] - 1) * np.exp(-((v / p["stribeck"]) ** 2)))
     stiff = p["dry"] / p["bristle"]
     new = (z + v * STEP) / (1 + STEP * stiff * np.abs(v) / level)
-    curved = (
-        p["viscous"]
-        * cold
-        * (1 - 0.006 * p["warm"] * (1 - np.exp(-t / 40)))
-        * v
-        * (1 - 0.12 * np.abs(v) / (1 + np.abs(v)))
-    )
+    warmed = 1 - 0.006 * p["warm"] * (1 - np.exp(-t / 40))
+    curved = p["viscous"] * cold * warmed * v * (1 - 0.12 * np.abs(v) / (1 + np.abs(v)))
     own = p["ripple"] * np.sin(p["ripple_n"] * q + p["ripple_at"])
     return stiff * new + 0.002 * stiff * (new - z) / STEP + curved + own, new
 
@@ -495,13 +433,8 @@ def table(rows: np.ndarray, command: np.ndarray, ends: np.ndarray) -> dict:
     run, starts = np.searchsorted(ends, t, side="right"), np.concatenate([[0], ends])
     used = (run < 3) & (t < ends[np.minimum(run, 2)] - 0.6)
     c = np.stack([np.interp(t, np.arange(len(command)) / 250, command[:, j]) for j in range(6)], 1)
-    return {
-        "time": (t - starts[np.minimum(run, 3)])[used],
-        "run": run[used] + 1,
-        "all": t[used],
-        "c": c[used],
-        "x": rows[used],
-    }
+    since = (t - starts[np.minimum(run, 3)])[used]
+    return {"time": since, "run": run[used] + 1, "all": t[used], "c": c[used], "x": rows[used]}
 
 
 def written(day: dict, clean: dict, path: Path) -> None:
@@ -559,17 +492,9 @@ def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
     for j in range(6):
         dry = np.tanh(v[:, j] / 0.03)
         low = tau[:, j] - of["dry"][j] * dry - of["viscous"][j] * v[:, j]
-        base = np.stack(
-            [
-                of["noise"][j] + 0 * dry,
-                daily * of["dry"][j] * dry,
-                daily * of["viscous"][j] * v[:, j],
-                daily * of["load"] * np.abs(low) * dry,
-                0.08 * low,
-                0.08 * (of["rotor"][j] + 0.02 * of["limit"][j] / 10) * a[:, j],
-            ],
-            1,
-        )
+        rubbing = np.stack([of["dry"][j] * dry, of["viscous"][j] * v[:, j], of["load"] * np.abs(low) * dry], 1)
+        moving = 0.08 * np.stack([low, (of["rotor"][j] + 0.02 * of["limit"][j] / 10) * a[:, j]], 1)
+        base = np.column_stack([of["noise"][j] + 0 * dry, daily * rubbing, moving])
         change = [("e", windows(log["x"][:, j] - log["c"][:, j]) - windows(twin["x"][:, j] - twin["c"][:, j]))]
         if day["torque"]:
             change.append(("torque", windows(log["x"][:, 12 + j]) - tau[:, j]))
@@ -579,10 +504,8 @@ def visible(day: dict, log: dict, twin: dict, reference: bool) -> bool:
                 columns, noise = base, np.hypot(0.5 * of["noise"][j] * day["noise"], 0.08 * of["dry"][j])
             else:
                 gain = np.stack([0.15 * tau[:, j] / of["kp"][j], 0.001 * v[:, j], 0.0003 * a[:, j]], 1)
-                columns, noise = (
-                    np.concatenate([base / of["kp"][j], gain], 1),
-                    np.hypot(0.3 * of["quantum"], 0.08 * of["dry"][j] / of["kp"][j]),
-                )
+                columns = np.concatenate([base / of["kp"][j], gain], 1)
+                noise = np.hypot(0.3 * of["quantum"], 0.08 * of["dry"][j] / of["kp"][j])
             sigma = noise / np.sqrt(0.07 * 12)
             system = np.concatenate([columns / sigma, np.eye(columns.shape[1])])
             target = np.concatenate([delta / sigma, np.zeros(columns.shape[1])])
@@ -636,13 +559,10 @@ def make(folder: Path, arm: str) -> None:
         if entry["kind"]:
             hidden = put(day, entry["kind"], entry["joint"], entry["level"], top, rng)
         if also:
-            own = [SEED, int(entry["id"][1:]), 2]
-            first, hidden, alone = (
-                hidden,
-                *(
-                    put(x, also["kind"], also["joint"], also["level"], top, np.random.default_rng(own))
-                    for x in (hidden, day)
-                ),
+            own, first = [SEED, int(entry["id"][1:]), 2], hidden
+            hidden, alone = (
+                put(x, also["kind"], also["joint"], also["level"], top, np.random.default_rng(own))
+                for x in (hidden, day)
             )
         slot = {"log": len(days)}
         days.append(hidden)
@@ -666,10 +586,8 @@ def make(folder: Path, arm: str) -> None:
         seen = bool(entry["kind"]) and visible(day, log, logs[slot.get("twin", slot["log"])], entry["reference"])
         key.append(entry | {"size": causes_of(day)[-1]["size"], "visible": seen})
         if "also" in entry:
-            key[-1]["also"] |= {
-                "size": day["size"],
-                "visible": visible(day, log, logs[slot["second"]], entry["reference"]),
-            }
+            seen = visible(day, log, logs[slot["second"]], entry["reference"])
+            key[-1]["also"] |= {"size": day["size"], "visible": seen}
     (folder / f"key-{arm}.json").write_text(json.dumps(key, indent=1))
 
 
@@ -689,112 +607,16 @@ def healthy(folder: Path) -> None:
         print(f"{name:52s}" + " | ".join(greatest))
 
 
-def baseline(folder: Path) -> None:
-    """Per joint least squares and BIC over friction models and single causes, on the same logs."""
-    began, table = time.process_time(), []
-    for entry in key_of(folder):
-        log = observed(folder / f"{entry['id']}.csv.gz", entry)
-        other = observed(folder / f"{entry['id']}.reference.csv.gz", entry) if entry["reference"] else None
-        best = max((claim for j in range(6) for claim in by_bic(log, other, j)), key=lambda x: x[0])
-        claims = [{"effect": best[1], "joint": best[2]}] if best[0] > 5 else []
-        one = {
-            "verdict": "",
-            "claims": claims,
-            "right": [right(c, entry) for c in claims],
-            "cpu": 0,
-            "MB": 0,
-            "rank": 99,
-        }
-        table.append(entry | one)
-    print(
-        "\nbaseline: joint by joint one of six frictions of BAM (Coulomb, Stribeck, load, its direction), at most one"
-    )
-    print(
-        "cause (not payload, saturation, clock, lost samples), least squares; the best is named where BIC falls by 10"
-    )
-    summary(table)
-    print(f"CPU {time.process_time() - began:.0f} s for all")
-
-
-def observed(path: Path, entry: dict) -> dict:
-    """Windows of 0.1 s of a log: torque less the rigid bodies of the user's file, angle, speed, time."""
-    table, of, model = pd.read_csv(path), ARMS[entry["arm"]], model_of(entry["arm"])
-
-    def pick(what: str) -> np.ndarray:
-        return np.stack([table[what.replace("#", str(j + 1))] for j in range(6)], 1)
-
-    q, v, c = pick("q#_rad"), pick("v#_rad_s"), pick("command#_rad")
-    if entry["arm"] == "ur10e":
-        torque = pick("current#_A") * of["per_A"]
-    else:
-        torque = pick("torque#_Nm") if entry["torque"] else (c - q) * of["kp"] - v * of["kd"]
-    time_s, run = table["time_s"].to_numpy() / 1.0, table["run"].to_numpy()
-    out = {
-        k: windows(x)
-        for k, x in {"q": q, "v": v, "torque": torque, "e": c - q, "t": time_s + 17 * run, "run": run}.items()
-    }
-    out["a"] = np.gradient(out["v"], 0.096, axis=0)
-    data, rigid_torque = mujoco.MjData(model), np.empty_like(out["q"])
-    for k in range(len(rigid_torque)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = out["q"][k], out["v"][k], out["a"][k]
-        mujoco.mj_inverse(model, data)
-        rigid_torque[k] = data.qfrc_inverse
-    return out | {"rigid": rigid_torque}
-
-
-def by_bic(log: dict, other: dict | None, j: int) -> list[tuple[float, str, int]]:
-    """Half of the fall of BIC for each single cause at joint j."""
-    parts = [log] if other is None else [log, other]
-
-    def get(what: str) -> np.ndarray:
-        return np.concatenate([p[what][:, j] if p[what].ndim > 1 else p[what] for p in parts])
-
-    here = np.concatenate([np.full(len(p["t"]), p is log) for p in parts]).astype(float)
-    q, v, a, t, run, low, torque, e = (get(x) for x in ("q", "v", "a", "t", "run", "rigid", "torque", "e"))
-    dry, n = np.tanh(v / 0.03), len(q)
-    base = np.stack([1 + 0 * q, here, dry, v, low, a], 1)
-    # The frictions of BAM (Duclusaud et al. 2025): M1 Coulomb and viscous, M2 Stribeck, M3 load, M4 both, M5 by the
-    # direction of the load, M6 quadratic in it.
-    dip, loaded = (dry * np.exp(-((v / 0.05) ** 2)))[:, None], (np.abs(low) * dry)[:, None]
-    driven, square = loaded * (low * v > 0)[:, None], loaded * np.abs(low)[:, None]
-    named = ([], [dip], [loaded], [dip, loaded], [dip, loaded, driven], [dip, loaded, driven, square])
-    models = [np.concatenate([base, *more], 1) for more in named]
-
-    def bic(y: np.ndarray, x: np.ndarray) -> float:
-        left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
-        return float(n * np.log(np.mean(left**2)) + x.shape[1] * np.log(n))
-
-    causes = {"warm_up": [here * dry * np.exp(-t / 25)], "zero_offset_step": [here * (run > 1)], "spring": [here * q]}
-    causes |= {f"ripple{k}": [here * np.sin(k * q), here * np.cos(k * q)] for k in (1, 2, 3, 6, 8, 20, 101)}
-    causes |= {f"contact{k}": [here * (np.abs(t - 17 - 4 * k) < 2)] for k in range(12)}
-    if other is not None:
-        causes |= {"coulomb_friction": [here * dry], "viscous_friction": [here * v], "torque_constant": [here * torque]}
-        causes |= {"load_friction": [here * np.abs(low) * dry]}
-    best = min(models, key=lambda x: bic(torque, x))
-    found = [
-        (k, bic(torque, best) - bic(torque, np.column_stack([best, *x])))
-        for k, x in causes.items()
-        if k != "torque_constant"
-    ]
-    servo = np.stack([1 + 0 * q, torque, v, a], 1)
-    if other is not None:
-        for name, column in (("transport_delay", v), ("servo_stiffness", torque)):
-            found.append((name, bic(e, servo) - bic(e, np.column_stack([servo, here * column]))))
-    return [(gain / 2, name.rstrip("0123456789"), j + 1) for name, gain in found]
-
-
 def diagnosed(folder: Path, entry: dict) -> None:
-    """The answer of one log with its CPU seconds."""
+    """The answer of one log."""
     name, arm = entry["id"], entry["arm"]
     reference = folder / f"{name}.reference.csv.gz" if entry["reference"] else None
-    began = time.process_time()
     campaign = read_logs(folder / f"{arm}.urdf", [folder / f"{name}.csv.gz"], reference, folder / f"{arm}.drive.toml")
     assert campaign is not None
     answer = campaign.diagnosed()
     fits = [{"effect": f.label.partition("@")[0], "joint": int(f.label.partition("@")[2] or 0)} for f in answer.fitting]
     faults = [c for c in answer.causes if {"effect": c["effect"], "joint": c["joint"] or 0} not in fits]
     kept = {"verdict": answer.verdict, "causes": [*faults, *fits], "ranking": answer.ranking}
-    kept |= {"cpu": time.process_time() - began, "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
     (folder / f"{name}.answer.json").write_text(json.dumps(kept))
 
 
@@ -827,9 +649,8 @@ def score(folder: Path) -> None:
             continue
         answer = json.loads(path.read_text())
         claims = answer["causes"]
-        listed = [c for c in answer["ranking"] if c["effect"] in (*LISTED, "link_mass", "play", "reflected_inertia")]
-        ranks = [k for k, c in enumerate(listed) if right(c, entry)]
-        answer |= {"claims": claims, "right": [right(c, entry) for c in claims], "rank": min(ranks, default=99)}
+        channel = "current" if entry["arm"] == "ur10e" else "torque" if entry["torque"] else "command"
+        answer |= {"claims": claims, "right": [right(c, entry) for c in claims], "channel": channel}
         table.append(entry | answer)
         said = ", ".join(f"{c['effect']}@{c['joint']}" if c["joint"] else c["effect"] for c in claims)
         hidden, *also = (
@@ -837,7 +658,6 @@ def score(folder: Path) -> None:
             for c in hidden_of(entry)
         )
         mark = "".join("+" if r else "x" for r in table[-1]["right"])
-        channel = "current" if entry["arm"] == "ur10e" else "torque" if entry["torque"] else "command"
         print(
             f"{entry['id']} {entry['arm']:5} {channel:7} {'ref' if entry['reference'] else '-':3} "
             f"{hidden:20} {entry['size']:7.3g} "
@@ -846,20 +666,8 @@ def score(folder: Path) -> None:
         if also:
             second = f"{entry['also']['size']:7.3g} {'visible' if entry['also']['visible'] else '-'}"
             print(f"{'and':24} {also[0]:20} {second}")
-    print()
-    summary(table)
-    print("\nby channel and reference")
-    for arm, torque in (("ur10e", True), ("so101", True), ("so101", False)):
-        for reference in (True, False):
-            print(f"{arm}, {'with' if torque else 'no'} torque, {'with' if reference else 'no'} reference: ", end="")
-            summary(
-                [
-                    x
-                    for x in table
-                    if (x["arm"], x["torque"] or x["arm"] == "ur10e", x["reference"]) == (arm, torque, reference)
-                ],
-                one=True,
-            )
+    for channel in dict.fromkeys(x["channel"] for x in table):
+        summary(channel, [x for x in table if x["channel"] == channel])
     print("\ncause                 logs visible named(visible) named right  wrong claims  other verdicts")
     for kind in ["", *LISTED, *UNLISTED]:
         of = [x for x in table if x["kind"] == kind and "also" not in x]
@@ -897,16 +705,16 @@ def counted(what: Counter) -> str:
     return ", ".join(f"{k} {n}" for k, n in what.items()) or "-"
 
 
-def summary(table: list[dict], one: bool = False) -> None:
-    """The figures of the study."""
+def summary(channel: str, table: list[dict]) -> None:
+    """The figures of the logs with a channel."""
     claims = [r for x in table for r in x["right"]]
     clean, other = [x for x in table if not x["kind"]], [x for x in table if x["kind"] in UNLISTED]
     single = [x for x in table if x["kind"] in LISTED and "also" not in x]
     seen = [x for x in single if x["visible"]]
     alone = [r for x in single for r in x["right"]]
     hidden, strange = [x for x in single if not x["visible"]], [x for x in other if x["visible"]]
-    cpu, memory = [x["cpu"] for x in table], [x["MB"] for x in table]
     lines = [
+        f"\n{channel}, {len(table)} logs",
         f"claims right {sum(claims)} of {len(claims)}",
         f"those of logs with one listed cause {sum(alone)} of {len(alone)}",
         f"false alarms on clean logs {sum(bool(x['claims']) for x in clean)} of {len(clean)}",
@@ -915,13 +723,7 @@ def summary(table: list[dict], one: bool = False) -> None:
         f"unknown or ambiguous where an unlisted cause is visible "
         f"{sum(x['verdict'] in ('unknown', 'ambiguous') for x in strange)} of {len(strange)}",
     ]
-    lines += [of_pairs(table)]
-    first, third = (sum(x["rank"] < k for x in seen) for k in (1, 3))
-    lines += [f"truth on top {first}, in the top three {third}, of {len(seen)} visible"]
-    if max(cpu, default=0):
-        lines += [f"CPU a log {np.median(cpu):.1f} s median, {max(cpu):.1f} s greatest"]
-        lines += [f"memory a log {np.median(memory):.0f} MB median, {max(memory):.0f} MB greatest"]
-    print("; ".join(lines[:5]) if one else "\n".join(lines))
+    print("\n".join([*lines, of_pairs(table)]))
 
 
 ABOUT = f"""Three runs a log, 50 s, 125 Hz; {LOGS // 3} clean, {LOGS // 8} with a cause on no list. + right, x wrong.
@@ -960,7 +762,6 @@ def main() -> None:
         healthy(folder)
     elif task == "score":
         score(folder)
-        baseline(folder)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""Open-loop replay of the real SO-101's thirteen motions, each quarter of them withheld in turn; mrad rms a joint.
+"""Open-loop replay of motions of the real SO-101 of which none was fitted (those of report); mrad rms a joint.
 
-The motions of report, of which none was fitted, also by the exported model in MuJoCo, without one effect at a time and
-with published parameters; torques of a UR10 and a Panda (BAGS: repository unisa-acg/inverse-dynamics-solver). Then the
-diagnosis of each motion alone: the arm is healthy as far as its makers know, nobody knows true causes. Made by
+Also by the exported model in MuJoCo, without one effect at a time and with published parameters; then torques of a UR10
+(BAGS: repository unisa-acg/inverse-dynamics-solver). Made by
 
     python docs/studies/joint_replay.py BAGS > docs/studies/joint_replay.txt
     python docs/studies/joint_replay.py docs/images/so101.png     # draws the motions of report
@@ -20,8 +19,7 @@ from casadical import read_robot
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.motion.against import arbitration_tables
 from casadical.diagnosis.motion.friction_laws import friction_laws
-from casadical.diagnosis.motion.replay import Replay, replayed
-from casadical.diagnosis.motion.result import diagnose_log
+from casadical.diagnosis.motion.replay import Replay
 from casadical.diagnosis.motion.signals import arm_of
 from casadical.export.mjcf.moving import driven, moving_mjcf
 from casadical.measurements.logs.reading import read_log
@@ -46,10 +44,7 @@ def picture(found: Replay, path: str) -> None:
 
 
 def main() -> None:
-    folder = ROOT / "problems" / "so101"
-    robot = read_robot(folder / "robot.toml")
-    logs = [read_log(path, robot) for path in sorted((ROOT / "data" / "so101_logs").glob("*.csv.gz"))]
-    campaign = read_logs(folder)
+    campaign = read_logs(ROOT / "problems" / "so101")
     assert campaign is not None
     if sys.argv[1].endswith(".png"):
         drawn = campaign.replayed()
@@ -57,38 +52,24 @@ def main() -> None:
         picture(drawn, sys.argv[1])
         return
     published = sorted((ROOT / "data/so101_logs/published").glob("*.csv"))
-    for title, found in (
-        (f"{len(logs)} motions, each quarter withheld in turn", replayed(robot, logs)),
-        ("problems/so101: the motions of report", campaign.replayed(against=published)),
-    ):
-        assert found is not None
-        print(f"real data, SO-101: {title}; rms [mrad], joints 1 to 6")
-        print(f"{'position = command':32}", *(f"{1e3 * v:6.2f}" for v in found.before))
-        print(f"{'with the response':32}", *(f"{1e3 * v:6.2f}" for v in found.after))
-        for run, q in zip(found.runs, found.predicted, strict=True):
-            left = 1e3 * np.sqrt(((run.position - q) ** 2).mean(axis=0))
-            print(f"  {run.source.removesuffix('.csv.gz'):30}", *(f"{v:6.2f}" for v in left))
+    found = campaign.replayed(against=published)
+    assert found is not None
+    print("real data, SO-101: problems/so101: the motions of report; rms [mrad], joints 1 to 6")
+    print(f"{'position = command':32}", *(f"{1e3 * v:6.2f}" for v in found.before))
+    print(f"{'with the response':32}", *(f"{1e3 * v:6.2f}" for v in found.after))
     text = moving_mjcf(found.response.robot()).text
     errors = [run.position - driven(text, run) for run in found.runs]
-    starts = [e[run.time < run.time[0] + 0.5] for e, run in zip(errors, found.runs, strict=True)]
-    for name, parts in (("by the exported MJCF in MuJoCo", errors), ("  its first half second of a run", starts)):
-        print(f"{name:32}", *(f"{1e3 * v:6.2f}" for v in np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))))
+    rms = np.sqrt((np.concatenate(errors) ** 2).mean(axis=0))
+    print(f"{'by the exported MJCF in MuJoCo':32}", *(f"{1e3 * v:6.2f}" for v in rms))
     print("real data, SO-101, the motions of report;", found.effects.sentence)
     print(plain_text([found.effects.table()], 100))
     print(plain_text([*arbitration_tables(found.runs[0].joints, found.after, found.against)], 180))
-    for name, problem in (("ur10_exciting", "ur10"), ("panda_exciting", "panda_1")):
-        (bag,) = Path(sys.argv[1], name).glob("*.db3")
-        arm = read_robot(ROOT / "problems" / problem / "robot.toml")
-        laws = friction_laws(read_log(bag, arm), arm_of(arm))
-        assert laws is not None
-        print(f"real data, {name}, robot file of problems/{problem}; {laws.effects.sentence}\n{laws.explained}")
-        print(plain_text(laws.tables(), 100))
-    print("real data, SO-101, commands and readings alone: verdict of each motion, and what fits best (a hint)")
-    for log in logs:
-        answer = diagnose_log(robot, log)
-        ranking = answer.rankings[0]
-        hint = f"{ranking.order[0]} {ranking.probability[ranking.order[0]]:.2f}" if answer.verdict != "none" else ""
-        print(f"  {log.source.removesuffix('.csv.gz'):30} {answer.verdict:10} {hint}")
+    (bag,) = Path(sys.argv[1], "ur10_exciting").glob("*.db3")
+    arm = read_robot(ROOT / "problems" / "ur10" / "robot.toml")
+    laws = friction_laws(read_log(bag, arm), arm_of(arm))
+    assert laws is not None
+    print(f"real data, ur10_exciting, robot file of problems/ur10; {laws.effects.sentence}\n{laws.explained}")
+    print(plain_text(laws.tables(), 100))
 
 
 if __name__ == "__main__":
