@@ -1,13 +1,13 @@
 """python docs/studies/black_boxes.py > docs/studies/black_boxes.txt (needs scikit-learn beside the package)
 
-The diagnosed robot beside black boxes, on real arms: held-out mean error [mm] of four layers and three learners.
+The diagnosed robot beside black boxes, on a real UR10: held-out mean error [mm] of four layers and three learners.
 
-Of each series 30, 100 and 300 poses, drawn by three seeds, are learnt from; up to 2500 others judge, the same for all.
+Of its series C 30, 100 and 300 poses, drawn by three seeds, are learnt from; up to 2500 others judge, the same for all.
 A learner predicts, from sines and cosines of the joint angles, what the model with geometry and compliance leaves in
 each coordinate: a Gaussian process with a length scale for each input and noise, both by marginal likelihood; gradient
 boosted trees and a multilayer perceptron, each with the best of its settings by five-fold cross-validation. They learn
 from the poses that the calibration does not call outliers. `casadical` is the robot that `diagnose` writes, with every
-cause that it names. Files, splits and blunders that do not judge are those of `joint_curves.py`.
+cause that it names. File and splits are those of `joint_curves.py`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,11 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 sys.path.insert(0, str(Path(__file__).parent))
-from joint_curves import ROOT, SERIES, judged, split
+from joint_curves import ROOT, SERIES, split
 from real_diagnoses import campaign
 
 from casadical import Measurements, diagnose, identify, read_problem
 from casadical.identification.accuracy import errors, predicted
-from casadical.measurements.derived_columns import derive
 
 SIZES, SEEDS = (30, 100, 300), 3
 
@@ -76,20 +75,12 @@ def means(robot: object, learn: Measurements, test: Measurements) -> dict[str, f
 if __name__ == "__main__":
     warnings.filterwarnings("ignore")  # of learners that stop at their limits
     print(f"real data; held-out mean error [mm], mean of {SEEDS} splits", flush=True)
-    arms = {f"UR10 {name}": (name, folder, None) for name, folder in SERIES.items()}
-    arms["UR5 grid"] = ("UR5", "ur5", read_problem(ROOT / "problems" / "ur5").sets["identify"][0])
-    headed = False
-    for title, (name, folder, table) in arms.items():
-        robot = read_problem(ROOT / "problems" / folder).robot
-        approaches = [f"approach{i}" for i in range(1, robot.n + 1)]
-        m = campaign(folder, robot) if table is None else derive(table, ["progress", *approaches])[0]
-        for size in SIZES:
-            rows = []
-            for seed in range(SEEDS):
-                learn, test = split(m, size, seed)
-                rows.append(means(robot, learn, judged(name, test)))
-            if not headed:
-                print(f"{'series, poses learnt':<22}" + "".join(f"{key:>16}" for key in rows[0]))
-                headed = True
-            line = "".join(f"{np.mean([row[key] for row in rows]):16.3f}" for key in rows[0])
-            print(f"{title + ', ' + str(size):<22}{line}", flush=True)
+    robot = read_problem(ROOT / "problems" / SERIES["C"]).robot
+    m = campaign(SERIES["C"], robot)
+    for size in SIZES:
+        splits = (split(m, size, seed) for seed in range(SEEDS))
+        rows = [means(robot, learn, test) for learn, test in splits]
+        if size == SIZES[0]:
+            print(f"{'series, poses learnt':<22}" + "".join(f"{key:>16}" for key in rows[0]))
+        line = "".join(f"{np.mean([row[key] for row in rows]):16.3f}" for key in rows[0])
+        print(f"{f'UR10 C, {size}':<22}{line}", flush=True)
