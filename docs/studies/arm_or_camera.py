@@ -27,13 +27,6 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 
-def measured(q: Array, T: Array, in_hand: bool) -> Measurements:
-    """Poses of the target in the camera, (n, 4, 4), as casadical has them."""
-    where = "in hand" if in_hand else "to base"
-    m = Measurements(q, "pose", position=T[:, :3, 3], orientation=T[:, :3, :3], camera=where)
-    return m.inverse() if in_hand else m
-
-
 def left(robot: Robot, m: Measurements, found: ArmOrCamera, in_hand: bool) -> float:
     """Rms error [mm] of the target's place in the camera with base and tool fitted by scipy, weighed by a noise."""
     start = identify(robot, replace(m, camera=""), ["placement"], loss="linear").robot
@@ -63,13 +56,11 @@ def judged(cell: int) -> kept.Row:
     size = float(np.exp(rng.uniform(np.log(0.2), np.log(1.5)))) * wrong_arm
     focal = 1 + float(np.exp(rng.uniform(np.log(3e-3), np.log(2e-2)))) * rng.choice([-1, 1]) * wrong_camera
     pixels, robot = rng.uniform(0.15, 0.5), camera.arm(which)
-    built = robot.with_values(
-        {p.name: p.value + 1e-3 * size * rng.normal() for p in robot.parameters if p.group == "geometry"}
-    )
+    built = camera.as_built(robot, size, rng)
     X = frame(np.eye(3), np.array([*rng.uniform(-0.07, 0.07, 2), 0.06]))
     q, T = camera.stations(built, X, in_hand, n, rng)
     fit, exact, no_camera = (
-        measured(q, camera.through_pixels(T, px, in_hand, rng, f), in_hand)
+        camera.measured(q, camera.through_pixels(T, px, in_hand, rng, f), in_hand)
         for px, f in ((pixels, focal), (0.0, focal), (0.0, 1.0))
     )
     found = arm_or_camera(identify(robot, fit, ["kinematic"]))

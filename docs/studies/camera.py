@@ -1,4 +1,4 @@
-"""Poses of a board in a camera: errors of the hand-eye transform, with frames alone and as calibrate finds it.
+"""Poses of a board in a camera: errors of the hand-eye transform by the camera's own noise and by equal weights.
 
     python docs/studies/camera.py [--runs 24] [--keep FILE --seconds 500] [--corners]
 
@@ -7,17 +7,14 @@ image. Scenes: "right" arms have their nominal geometry, "off" ones are off by n
 parameter; the noise of the camera is normal in its own axes (lateral, lateral, depth [mm]; angles about them [mrad]),
 or that of pixels through a PnP fit ("pnp": 0.25 px, a board of 10 x 7 corners whose origin is a corner). "outliers":
 12 % of the poses are wrong by decimetres. The hand-eye transform is compared with the true one in the nominal last row
-(the offset and zero of the last joint are not separable from it): X_g, in mm. Held out: the target's place in the
-camera at 200 other stations, without noise, rms in mm, after the fit's own target. "Chosen" frees the geometry as
-calibrate does, "equal weights" too, but as if it were not known that a camera measured.
+(the offset and zero of the last joint are not separable from it): X_g, in mm. "Chosen" frees the geometry as calibrate
+does, "equal weights" too, but as if it were not known that a camera measured.
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
-from resource import RUSAGE_SELF, getrusage
 from tempfile import TemporaryDirectory
-from time import process_time
 
 import kept
 import numpy as np
@@ -34,7 +31,7 @@ from casadical.project.calibration import calibrate
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
 
-HELD_OUT = 200
+SPARE = 200  # stations that are drawn besides
 # Name of a scene -> errors of the geometry [mm, mrad], camera noise or pixels, share of outliers.
 SCENES: dict[str, tuple[float, Array | float, float]] = {
     "a right, 1 1 3 mm": (0.0, np.array([1, 1, 3, 2, 2, 0.7]), 0.0),
@@ -54,20 +51,21 @@ ARMS = {
 FOCAL_PX = 800.0
 
 
-def arm(name: str) -> Robot:
+def arm(name: str, limit: float = 2.9) -> Robot:
     """The arm as its data sheet has it; base and tool are unknown."""
+    parallel = (2, 3) if name == "UR5e" else ()
     joints = tuple(
-        Joint(
-            alpha=alpha * np.pi / 2,
-            a=a,
-            d=d,
-            beta=0.0 if name == "UR5e" and i in (2, 3) else None,
-            lower=-2.9,
-            upper=2.9,
-        )
+        Joint(alpha=alpha * np.pi / 2, a=a, d=d, beta=0.0 if i in parallel else None, lower=-limit, upper=limit)
         for i, (alpha, a, d) in enumerate(ARMS[name])
     )
     return Robot(name, joints, base=Placement(np.eye(4), "pose"), tool=Placement(np.eye(4), "pose"))
+
+
+def as_built(robot: Robot, size: float, rng: np.random.Generator) -> Robot:
+    """The arm with normal errors of one size [mm, mrad] in all of its geometry."""
+    return robot.with_values(
+        {p.name: p.value + 1e-3 * size * rng.normal() for p in robot.parameters if p.group == "geometry"}
+    )
 
 
 def poses_of(robot: Robot, q: Array) -> Array:
@@ -102,6 +100,13 @@ def stations(built: Robot, X: Array, in_hand: bool, n: int, rng: np.random.Gener
             return q[good[:n]], seen[good[:n]]
 
 
+def measured(q: Array, T: Array, in_hand: bool) -> Measurements:
+    """Poses of the target in the camera, (n, 4, 4), as casadical has them."""
+    where = "in hand" if in_hand else "to base"
+    m = Measurements(q, "pose", position=T[:, :3, 3], orientation=T[:, :3, :3], camera=where)
+    return m.inverse() if in_hand else m
+
+
 def first_corner(in_hand: bool) -> Array:
     """The frame of the board's first corner in that of its centre; squares are of 25 or 40 mm."""
     return frame(np.eye(3), (0.025 if in_hand else 0.04) * np.array([-4.5, -3, 0]))
@@ -128,27 +133,25 @@ def through_pixels(T: Array, pixels: float, in_hand: bool, rng: np.random.Genera
         lever = c - T[:, None, :3, 3]
         J[..., 3:] = np.cross(lever[:, :, None, :], J[..., :3])
         flat, r = J.reshape(len(T), -1, 6), (seen - uv).reshape(len(T), -1)
-        step = np.linalg.solve(np.einsum("nki,nkj->nij", flat, flat), np.einsum("nki,nk->ni", flat, r)[..., None])[
-            ..., 0
-        ]
+        normal, right = np.einsum("nki,nkj->nij", flat, flat), np.einsum("nki,nk->ni", flat, r)
+        step = np.linalg.solve(normal, right[..., None])[..., 0]
         T = T.copy()
         T[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ T[:, :3, :3]
         T[:, :3, 3] += step[:, :3]
     return T @ first_corner(in_hand)
 
 
-def scene(name: str, which: str, in_hand: bool, n: int, seed: int) -> tuple[Robot, Measurements, Measurements, Array]:
-    """Nominal arm, measured poses, exact poses that are held out, and the true X_g (4, 4)."""
+def scene(name: str, which: str, in_hand: bool, n: int, seed: int) -> tuple[Robot, Measurements, Array]:
+    """Nominal arm, measured poses, and the true X_g (4, 4)."""
     size, noise, outliers = SCENES[name]
     rng, robot = np.random.default_rng(seed), arm(which)
-    off = {p.name: p.value + 1e-3 * size * rng.normal() for p in robot.parameters if p.group == "geometry"}
-    built = robot.with_values(off)
+    built = as_built(robot, size, rng)
     tilt = Rotation.from_rotvec([*rng.normal(0, 0.3, 2), 0]) * Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)])
     X = frame(tilt.as_matrix(), np.array([*rng.uniform(-0.07, 0.07, 2), rng.uniform(0.02, 0.1)]))
-    q, T = stations(built, X, in_hand, n + HELD_OUT, rng)
-    seen, exact = T[:n].copy(), T[n:]
+    q, T = stations(built, X, in_hand, n + SPARE, rng)
+    q, seen = q[:n], T[:n].copy()
     if isinstance(noise, float):
-        seen, exact = through_pixels(seen, noise, in_hand, rng), through_pixels(exact, 0.0, in_hand, rng)
+        seen = through_pixels(seen, noise, in_hand, rng)
     else:
         e = 1e-3 * noise * rng.normal(size=(n, 6))
         seen[:, :3, :3] = Rotation.from_rotvec(e[:, 3:]).as_matrix() @ seen[:, :3, :3]
@@ -156,16 +159,10 @@ def scene(name: str, which: str, in_hand: bool, n: int, seed: int) -> tuple[Robo
     wrong = rng.choice(n, round(outliers * n), replace=False)
     seen[wrong, :3, :3] = Rotation.random(len(wrong), rng=rng).as_matrix() if len(wrong) else seen[wrong, :3, :3]
     seen[wrong, :3, 3] += rng.normal(0, 0.1, (len(wrong), 3))
-    made = [
-        Measurements(
-            q, "pose", position=T[:, :3, 3], orientation=T[:, :3, :3], camera="in hand" if in_hand else "to base"
-        )
-        for q, T in ((q[:n], seen), (q[n:], exact))
-    ]
-    fit, held_out = (m.inverse() if in_hand else m for m in made)
+    m = measured(q, seen, in_hand)
     if not in_hand and isinstance(noise, float):  # the tool is the board's frame
         X = X @ first_corner(in_hand)
-    return robot, fit, held_out, in_last_row(robot, built, X)
+    return robot, m, in_last_row(robot, built, X)
 
 
 def in_last_row(robot: Robot, other: Robot, X: Array) -> Array:
@@ -177,48 +174,30 @@ def in_last_row(robot: Robot, other: Robot, X: Array) -> Array:
     return np.asarray(np.linalg.inv(row[0]) @ row[1] @ X)
 
 
-def held_out_error(robot: Robot, held_out: Measurements, in_hand: bool) -> float:
-    """Rms error [mm] of the target's place in the camera."""
-    T = poses_of(robot, held_out.q)
-    p = (np.linalg.inv(T) if in_hand else T)[:, :3, 3]
-    seen = held_out.inverse() if in_hand else held_out
-    assert seen.position is not None
-    return 1e3 * float(np.sqrt(((p - seen.position) ** 2).sum(axis=1).mean()))
-
-
 def judged(what: tuple[str, str, bool, int, int]) -> kept.Row:
     """Errors [mm] of one scene; what : scene, arm, whether in hand, stations, seed."""
-    robot, fit, held_out, truth = scene(*what)
+    robot, fit, truth = scene(*what)
     row: kept.Row = {}
-    unknown = replace(fit, camera="")
-    for name, (m, free) in {
-        "frames": (fit, ["placement"]),
-        "chosen": (fit, ["kinematic"]),
-        "equal weights": (unknown, ["kinematic"]),
-    }.items():
+    for name, m in {"chosen": fit, "equal weights": replace(fit, camera="")}.items():
         try:
-            found = identify(robot, m, free)
+            found = identify(robot, m, ["kinematic"])
         except (ConvergenceError, InputError) as error:
-            row |= {name: float("nan"), f"{name} held out": float("nan"), f"{name} refused": str(error)}
+            row |= {name: float("nan"), f"{name} refused": str(error)}
             continue
         X = in_last_row(robot, found.robot, found.robot.tool.T)
         row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
-        row[f"{name} held out"] = held_out_error(found.robot, held_out, what[2])
     return row
 
 
 def corners(runs: int) -> None:
-    """Print errors of X_g [mm] and the cost of `calibrate`, of 40 images of 500 corners with a wrong focal length."""
+    """Print errors of X_g [mm] by `calibrate`, of 40 images of 500 corners with a wrong focal length."""
     grid = np.stack(np.meshgrid(np.arange(25), np.arange(20), [0], indexing="ij"), axis=-1).reshape(-1, 3)
     board = 0.01 * (grid - [12, 9.5, 0])
     for run in range(runs):
         rng, robot = np.random.default_rng([9, run]), arm("UR5e")
-        built = robot.with_values(
-            {p.name: p.value + 1e-3 * rng.normal() for p in robot.parameters if p.group == "geometry"}
-        )
-        X = frame(
-            Rotation.from_rotvec(rng.normal(0, 0.2, 3)).as_matrix(), np.array([*rng.uniform(-0.07, 0.07, 2), 0.06])
-        )
+        built = as_built(robot, 1.0, rng)
+        turn = Rotation.from_rotvec(rng.normal(0, 0.2, 3)).as_matrix()
+        X = frame(turn, np.array([*rng.uniform(-0.07, 0.07, 2), 0.06]))
         q, T = stations(built, X, True, 40, rng)
         c = board @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
         uv = FOCAL_PX * c[..., :2] / c[..., 2:] + [640, 480] + rng.normal(0, 0.25, (40, 500, 2))
@@ -235,9 +214,7 @@ def corners(runs: int) -> None:
                 'casadical = 1\ntitle = "corners"\nmethods = ["KM"]\n[[measurements]]\nfile = "corners.csv"\n'
                 f"intrinsics = {{ fx = {f}, fy = {f}, cx = 640.0, cy = 480.0 }}\n[sets]\nidentify = 1\n"
             )
-            begun = process_time()
             result = calibrate(folder)
-            spent = process_time() - begun
         truth, answer = in_last_row(robot, built, X), result.arm_or_camera
         assert answer is not None
         focal = answer.errors[0]
@@ -245,8 +222,7 @@ def corners(runs: int) -> None:
         off = 1e3 * np.linalg.norm(X[:3, 3] - truth[:3, 3])
         print(
             f"corners, run {run}: X_g {off:.3f} mm, wrong: {answer.wrong or '-'}, "
-            f"focal length {100 * focal.value:+.2f} % ({100 * focal.low:+.2f} to {100 * focal.high:+.2f}), "
-            f"{spent:.1f} s of the processor, {getrusage(RUSAGE_SELF).ru_maxrss / 1024:.0f} MB",
+            f"focal length {100 * focal.value:+.2f} % ({100 * focal.low:+.2f} to {100 * focal.high:+.2f})",
             flush=True,
         )
 
@@ -263,28 +239,24 @@ def main() -> None:
     if given.corners:
         corners(given.runs)
         return
-    todo = [
-        ("/".join(map(str, entry)), entry)
+    scenes = [name for name in SCENES if name[0] in given.scenes]
+    arms, places, counts = list(ARMS), (True, False), (15, 25, 40)
+    todo = kept.named(
+        (name, arms[run % 2], places[run // 2 % 2], counts[run % 3], given.seed + run)
         for run in range(given.runs)
-        for name in SCENES
-        if name[0] in given.scenes
-        for entry in [(name, list(ARMS)[run % 2], run // 2 % 2 == 0, (15, 25, 40)[run % 3], given.seed + run)]
-    ]
+        for name in scenes
+    )
     rows = kept.rows_of(todo, judged, given)
-    print(f"{'scene':20s}{'runs':>5s}  X_g median / 95 % [mm]; held out in brackets")
+    print(f"{'scene':20s}{'runs':>5s}  X_g median / 95 % [mm]")
     for name in SCENES:
         own = [row for row in rows if row["name"].startswith(f"{name}/")]
         if own:
             words = [f"{name:20s}{len(own):5d}"]
-            for solver in [k for k in own[0] if k != "name" and "held out" not in k and "refused" not in k]:
-                e = np.array([row[solver] for row in own if solver in row])
+            for solver in ("chosen", "equal weights"):
+                e = np.array([row[solver] for row in own])
                 good = e[np.isfinite(e)]
-                some = (
-                    f" {solver} {np.median(good):.3f} / {np.quantile(good, 0.95):.3f}" if len(good) else f" {solver} -"
-                )
-                if f"{solver} held out" in own[0]:
-                    some += f" ({np.nanmedian([row[f'{solver} held out'] for row in own]):.3f})"
-                words.append(some + (f" [{len(e) - len(good)} refused]" if len(good) < len(e) else ""))
+                words.append(f" {solver} {np.median(good):.3f} / {np.quantile(good, 0.95):.3f}")
+                words[-1] += f" [{len(e) - len(good)} refused]" if len(good) < len(e) else ""
             print(";".join(words))
 
 

@@ -11,10 +11,11 @@ over the arms; "of better" is the error as calibrate frees the geometry over the
 import argparse
 from dataclasses import replace
 
+import camera
 import kept
 import numpy as np
 
-from casadical.core.parts import Joint, Placement
+from casadical.core.parts import Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
@@ -24,25 +25,6 @@ from casadical.robot.robot import Robot
 HELD_OUT = 400
 SIZES = {"right": 0.0, "0.1": 0.1, "0.3": 0.3, "1": 1.0, "zeros": 0.1}
 TRACKER = frame(from_rpy(np.array([2.5, -0.8, 1.9])), np.array([2.1, -3.4, 0.7]))
-
-
-def ur5e() -> Robot:
-    """The arm as its data sheet has it, with a tool point off the last axis."""
-    right = np.pi / 2
-    rows = [
-        (0, 0, 0.1625),
-        (right, 0, 0),
-        (0, -0.425, 0),
-        (0, -0.3922, 0.1333),
-        (right, 0, 0.0997),
-        (-right, 0, 0.0996),
-    ]
-    joints = tuple(
-        Joint(alpha=alpha, a=a, d=d, beta=0.0 if i in (2, 3) else None, lower=-2.8, upper=2.8)
-        for i, (alpha, a, d) in enumerate(rows)
-    )
-    tool = Placement(frame(np.eye(3), np.array([0.05, 0.08, 0.12])), "position")
-    return Robot("UR5e", joints, base=Placement(np.eye(4), "pose"), tool=tool)
 
 
 def scene(robot: Robot, size: str, poses: int, noise: float, seed: int) -> tuple[Measurements, Measurements]:
@@ -64,7 +46,8 @@ def scene(robot: Robot, size: str, poses: int, noise: float, seed: int) -> tuple
 
 def judged(entry: tuple[str, int, float, int]) -> kept.Row:
     """Held-out errors [mm] of one arm; entry : size, poses, noise [mm], seed."""
-    robot = ur5e()
+    tool = Placement(frame(np.eye(3), np.array([0.05, 0.08, 0.12])), "position")
+    robot = replace(camera.arm("UR5e", 2.8), tool=tool)
     fit, held_out = scene(robot, *entry)
     fits = {
         "frames": identify(robot, fit, ["placement"]),
@@ -76,9 +59,7 @@ def judged(entry: tuple[str, int, float, int]) -> kept.Row:
         assert held_out.position is not None
         off = predicted(found.robot, held_out)[0] - held_out.position
         row[name] = 1e3 * float(np.linalg.norm(off, axis=1).mean())
-    departure = fits["chosen"].departure
-    assert departure is not None
-    return {**row, "size": departure.size, "low": departure.low, "high": departure.high}
+    return row
 
 
 def main() -> None:
@@ -88,25 +69,19 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.1)
     kept.add_options(parser, "geometry_prior")
     given = parser.parse_args()
-    todo = [
-        ("/".join(map(str, entry)), entry)
-        for arm in range(given.arms)
-        for size in SIZES
-        for poses in (15, 25, 40)
-        for entry in [(size, poses, given.noise, arm)]
-    ]
+    todo = kept.named(
+        (size, poses, given.noise, arm) for arm in range(given.arms) for size in SIZES for poses in (15, 25, 40)
+    )
     rows = kept.rows_of(todo, judged, given)
     head = "".join(f"{name:>9s}" for name in ("frames", "free", "chosen"))
-    print(f"{'geometry off by':18s}{'poses':>6s}{'arms':>6s}{head}{'of better':>11s}{'size':>8s}")
+    print(f"{'geometry off by':18s}{'poses':>6s}{'arms':>6s}{head}{'of better':>11s}")
     for size in SIZES:
         for poses in (15, 25, 40):
             own = [row for row in rows if row["name"].startswith(f"{size}/{poses}/{given.noise}/")]
             if own:
                 frames, free, chosen = (np.mean([row[name] for row in own]) for name in ("frames", "free", "chosen"))
-                ratio, found = chosen / min(frames, free), np.median([row["size"] for row in own])
-                print(
-                    f"{size:18s}{poses:6d}{len(own):6d}{frames:9.4f}{free:9.4f}{chosen:9.4f}{ratio:11.3f}{found:8.3f}"
-                )
+                figures = f"{frames:9.4f}{free:9.4f}{chosen:9.4f}{chosen / min(frames, free):11.3f}"
+                print(f"{size:18s}{poses:6d}{len(own):6d}{figures}")
 
 
 if __name__ == "__main__":

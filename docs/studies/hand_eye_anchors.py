@@ -22,7 +22,6 @@ from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.parts import Joint, Placement
 from casadical.core.transforms import frame
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
 # Scene -> error of the arm [m, rad], noise of rotation [rad] and translation [m] or pixels, share of outliers.
@@ -102,20 +101,14 @@ def judged(entry: tuple[str, str, bool, int, int]) -> kept.Row:
     in_hand = entry[2]
     model, q, A, T, X_g = scene(*entry)
     robot, end = robot_of(model)
-    m = Measurements(
-        q * model.sign, "pose", position=T[:, :3, 3], orientation=T[:, :3, :3],
-        camera="in hand" if in_hand else "to base",
-    )  # fmt: skip
-    m = m.inverse() if in_hand else m
-    row: kept.Row = {"poses": len(q)}
-    for name, free in (("ours, frames", ["placement"]), ("ours", ["kinematic"])):
-        try:
-            found = identify(robot, m, free).robot
-        except (InputError, ConvergenceError) as error:
-            row |= {name: float("nan"), "refused": str(error)}
-            continue
+    m = camera.measured(q * model.sign, T, in_hand)
+    row: kept.Row = {"poses": len(q), "ours": float("nan")}
+    try:
+        found = identify(robot, m, ["kinematic"]).robot
         X = np.linalg.inv(end) @ camera.in_last_row(robot, found, found.tool.T)
-        row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - X_g[:3, 3]))
+        row["ours"] = 1e3 * float(np.linalg.norm(X[:3, 3] - X_g[:3, 3]))
+    except (InputError, ConvergenceError) as error:
+        row["refused"] = str(error)
     B = np.linalg.inv(T) if in_hand else T
     solved = {"kinhec Shah": axyb.shah(A, B)[0], "kinhec Li": axyb.li_kronecker(A, B)[0]}
     solved["kinhec LM"] = axyb.refine_lm_axyb(A, B, *axyb.shah(A, B))[0]
@@ -139,12 +132,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     kept.add_options(parser, "hand_eye_anchors")
     given = parser.parse_args()
-    todo = [
-        ("/".join(map(str, entry)), entry)
+    arms, places, counts = ("ur5e", "iiwa7"), (True, False), (15, 25, 40)
+    todo = kept.named(
+        (name, arms[run % 2], places[run // 2 % 2], counts[run % 3], 1000 + run)
         for run in range(given.first, given.first + given.runs)
         for name in SCENES
-        for entry in [(name, ("ur5e", "iiwa7")[run % 2], run // 2 % 2 == 0, (15, 25, 40)[run % 3], 1000 + run)]
-    ]
+    )
     rows = kept.rows_of(todo, judged, given)
     print(f"{'scene':32s}{'runs':>5s}  X_g median / 95 % [mm]")
     for name in SCENES:
@@ -160,11 +153,8 @@ def main() -> None:
         words = {k: f"{k} {np.nanmedian(e):.3f} / {np.nanquantile(e, 0.95):.3f}" for k, e in each.items()}
         refused = sum("refused" in row for row in own)
         others = sorted((np.nanmedian(e), k) for k, e in each.items() if not k.startswith("ours"))
-        park = "; " + words["OpenCV PARK"] if "OpenCV PARK" in words else ""
-        print(
-            f"{name:32s}{len(own):5d}  {words['ours']}; {words['ours, frames']}; best {words[others[0][1]]}{park}"
-            + (f"; {refused} refused" if refused else "")
-        )
+        refusals = f"; {refused} refused" if refused else ""
+        print(f"{name:32s}{len(own):5d}  {words['ours']}; best {words[others[0][1]]}{refusals}")
 
 
 if __name__ == "__main__":

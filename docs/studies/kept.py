@@ -4,7 +4,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +18,11 @@ def add_options(parser: argparse.ArgumentParser, name: str) -> None:
     parser.add_argument("--keep", type=Path, default=Path(f"{name}.jsonl"), help="rows that are there are not redone")
     parser.add_argument("--seconds", type=float, default=1e9, help="begin nothing after so much processor time")
     parser.add_argument("--table", action="store_true", help="compute nothing, print what is there")
+
+
+def named(entries: Iterable[T]) -> list[tuple[str, T]]:
+    """Entries with their names, of which a row's begins with its scene."""
+    return [("/".join(map(str, entry)), entry) for entry in entries]
 
 
 def rows_of(todo: Sequence[tuple[str, T]], judged: Callable[[T], Row], given: argparse.Namespace) -> list[Row]:
