@@ -12,14 +12,13 @@ held out: the base frame, which such instruments do not know, is put where the t
 
 The rules, fixed by a commit before the figures were seen, on splits (1, 2, 3) that no figure was seen of:
   usual    wires at 10, 130, 250 degrees about the robot, 1.8 m out, at heights 0, 1.2 and 0.6 m; random poses
-  places   wires at those of the usual candidates that `place_instrument` chooses for these poses (when this was
-           printed they stood 1.5 times the links' lengths away; now 1.5 times as far out as the tool gets)
-  planned  as "places", and the poses are those that `select_poses` chooses of the readings for the fit
+  planned  wires at those of the usual candidates that `place_instrument` chooses for these poses (when this was
+           printed they stood 1.5 times the links' lengths away; now 1.5 times as far out as the tool gets), and the
+           poses are those that `select_poses` chooses of the readings for the fit
   sockets  those of 40 random candidates that `place_instrument`'s criterion prefers, as many as the poses fill
 Planning takes the robot file's geometry, the instrument's noise, and 100 urad a joint for what a calibration leaves of
 the joints' own errors. "of positions" is the error relative to the tracker's positions of as many random poses of the
-fit. "scale" is by how much the calibrated robot is larger than the tracker says at the held-out poses, and beside it
-what the positions' own fit leaves.
+fit, "scale" by how much the calibrated robot is larger than the tracker says at the held-out poses.
 """
 
 import argparse
@@ -39,7 +38,6 @@ from casadical.identification.pose_selection.candidates import joint_jacobian, s
 from casadical.identification.pose_selection.design_problem import prepare
 from casadical.identification.pose_selection.instruments import Instrument, best_places, usual_places, without_base
 from casadical.identification.pose_selection.pose_search import place_instrument, select_poses
-from casadical.identification.pose_selection.workspace import Workspace
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.problem import read_problem
 from casadical.robot.robot import Robot
@@ -49,7 +47,7 @@ HELD_OUT = 500
 JOINTS = 1e-4
 # Sockets: readings within this of each other [m], of so many configurations, of so many candidates; the scale bar [m].
 WITHIN, CONFIGURATIONS, CANDIDATES, BAR = 2e-3, 10, 40, 2e-5
-POSES, NOISES = (30, 60, 150, 400), (0.05, 0.5, 0.2, 0.1)
+POSES, NOISES = (60, 150), (0.05, 0.5)
 
 
 def usual(robot: Robot, count: int) -> Array:
@@ -89,23 +87,19 @@ def by_wires(entry: tuple[int, str, int, float, int]) -> kept.Row:
     robot, fit, held_out = read("ur10", split)
     random = fit[np.arange(poses)]
     reference = identify(robot, random, loss="huber", priors=True).robot
-    best, own = judged(reference, random, held_out)
+    best, _ = judged(reference, random, held_out)
     placed = replace(robot, base=reference.base)
     expected = Noise(1e-3 * noise, JOINTS)
-    if rule in ("usual", "known"):
-        instrument = Instrument("wires", usual(reference, count), rule == "known")
-    else:
-        instrument = place_instrument(
-            placed, "wires", usual_places(placed, "wires"), count, q=random.q, task=random.q, noise=expected
-        )
-    chosen = random
+    instrument, chosen = Instrument("wires", usual(reference, count), False), random
     if rule == "planned":
+        usual_ends = usual_places(placed, "wires")
+        instrument = place_instrument(placed, "wires", usual_ends, count, q=random.q, task=random.q, noise=expected)
         found = select_poses(placed, fit.q, poses, noise=expected, task=random.q, instrument=instrument, restarts=1)
         row = {q.tobytes(): k for k, q in enumerate(fit.q)}
         chosen = fit[np.array([row[q.tobytes()] for q in found.q])]
     sets = wires(chosen, instrument, 1e-3 * noise, split)
-    error, scale = judged(identify(robot, sets, loss="huber", priors=True).robot, random, held_out)
-    return {"error": error, "of": error / best, "scale": scale, "own": own, "places": instrument.places.tolist()}
+    error, _ = judged(identify(robot, sets, loss="huber", priors=True).robot, random, held_out)
+    return {"error": error, "of": error / best}
 
 
 def in_sockets(entry: tuple[int, int, float, int]) -> kept.Row:
@@ -113,7 +107,7 @@ def in_sockets(entry: tuple[int, int, float, int]) -> kept.Row:
     split, count, noise, poses = entry
     robot, fit, held_out = read("ur10_grid", split)
     reference = identify(robot, fit[np.arange(poses)], loss="huber", priors=True).robot
-    best, own = judged(reference, fit[np.arange(poses)], held_out)
+    best, _ = judged(reference, fit[np.arange(poses)], held_out)
     placed, groups = replace(robot, base=reference.base), together(fit)
     some = np.random.default_rng(split).permutation(len(groups))[:CANDIDATES]
     groups = [groups[k] for k in some]
@@ -132,8 +126,8 @@ def in_sockets(entry: tuple[int, int, float, int]) -> kept.Row:
     i, j = np.unravel_index(int(apart.argmax()), apart.shape)
     bar = apart[i, j] + rng.normal(0, BAR)
     held = held.with_separations([(f"S{i + 1}", f"S{j + 1}", float(bar))], BAR)
-    error, scale = judged(identify(robot, held, loss="huber", priors=True).robot, fit[np.arange(poses)], held_out)
-    return {"error": error, "of": error / best, "scale": scale, "own": own, "moved": float(np.abs(step).max())}
+    error, _ = judged(identify(robot, held, loss="huber", priors=True).robot, fit[np.arange(poses)], held_out)
+    return {"error": error, "of": error / best}
 
 
 def together(fit: Measurements) -> list[Array]:
@@ -158,10 +152,8 @@ def pick(robot: Robot, fit: Measurements, groups: list[Array], places: Array, co
     at = np.repeat(np.arange(len(groups), dtype=float), [len(g) for g in groups])
     m = replace(m, position=predicted(robot, m)[0], conditions={**m.conditions, candidates.SOCKET_COLUMN: at})
     expected = Noise(1e-3 * noise, JOINTS)
-    problem = prepare(
-        robot, len(m), "V", candidates=m.q, workspace=Workspace(), circumstances=candidates.Circumstances(), free=None,
-        measured=None, interest=(), task=fit.q[:300], noise=expected, pool=len(m), rng=np.random.default_rng(0),
-    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    problem = prepare(robot, len(m), candidates=m.q, task=fit.q[:300], noise=expected, pool=len(m), rng=rng)
     names = tuple(n for n in problem.names if not n.startswith("base_"))
     J = without_base(robot, scaled_jacobian(robot, names, problem.task), problem.task)
     weight = np.einsum("kip,kiq->pq", J, J) / len(J)
@@ -174,10 +166,10 @@ def todo(splits: int) -> list[tuple[str, tuple]]:
         for split in range(1, 1 + splits):
             for poses in POSES:
                 for count in (1, 2, 3):
-                    for rule in ("usual", "places", "planned") + (("known",) if count == 3 else ()):
+                    for rule in ("usual", "planned"):
                         entry = (split, rule, count, noise, poses)
                         found.append(("/".join(map(str, entry)), entry))
-                for count in {30: (3,), 60: (3, 6), 150: (15,), 400: ()}[poses]:
+                for count in (6,) if poses == 60 else (15,):
                     entry = (split, count, noise, poses)
                     found.append(("sockets/" + "/".join(map(str, entry)), entry))
     return found
@@ -189,8 +181,7 @@ def one(entry: tuple) -> kept.Row:
 
 def table(rows: list[kept.Row]) -> None:
     """Means over the splits, by instrument, rule, noise and poses."""
-    columns = f"{'error mm':>10s}{'of positions':>14s}{'scale um/m':>12s}{'own':>6s}"
-    print(f"{'instrument':34s}{'poses':>6s}{'splits':>7s}{columns}")
+    print(f"{'instrument':34s}{'poses':>6s}{'splits':>7s}{'error mm':>10s}{'of positions':>14s}")
     of: dict[tuple, list[kept.Row]] = {}
     for row in rows:
         words = row["name"].split("/")
@@ -200,11 +191,8 @@ def table(rows: list[kept.Row]) -> None:
             key = (f"{words[2]} wire{'s' * (words[2] > '1')}, {words[1]}, {words[3]} mm", int(words[4]))
         of.setdefault(key, []).append(row)
     for (name, poses), found in sorted(of.items(), key=lambda item: (item[0][1], item[0][0])):
-        error, ratio, scale, own = (np.array([row[c] for row in found]) for c in ("error", "of", "scale", "own"))
-        print(
-            f"{name:34s}{poses:6d}{len(found):7d}{1e3 * error.mean():10.3f}{ratio.mean():14.2f}"
-            f"{1e6 * np.sqrt(np.mean(scale**2)):12.0f}{1e6 * np.sqrt(np.mean(own**2)):6.0f}"
-        )
+        error, ratio = (np.mean([row[c] for row in found]) for c in ("error", "of"))
+        print(f"{name:34s}{poses:6d}{len(found):7d}{1e3 * error:10.3f}{ratio:14.2f}")
 
 
 def diagnoses() -> None:
@@ -231,7 +219,7 @@ def main() -> None:
     given = parser.parse_args()
     if given.diagnoses:
         return diagnoses()
-    print(f"{HELD_OUT} poses held out; means over splits, scale and own: root mean squares\n")
+    print(f"{HELD_OUT} poses held out; means over splits\n")
     return table(kept.rows_of(todo(given.splits), one, given))
 
 
