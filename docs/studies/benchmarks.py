@@ -44,7 +44,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--budget", type=float, default=15.0, help="no further repeat after so many seconds")
     parser.add_argument("--limit", type=float, default=300.0, help="seconds until a contender is stopped")
     parser.add_argument("--memory", type=float, default=4096.0, help="address space a contender may take [MB]")
-    parser.add_argument("--json", type=Path, help="write all figures here")
     return parser.parse_args()
 
 
@@ -170,8 +169,6 @@ def main() -> None:
         row["wall_over_cpu"] for rows in results.values() for row in rows.values() if row["status"] == "ok"
     )
     print(f"Wall over CPU time, median: {busy:.2f} (1 on an idle machine).")
-    if options.json:
-        options.json.write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -16,10 +16,11 @@ sys.path[:0] = [str(ROOT / "tests" / "export" / folder) for folder in ("c", "con
 
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
+from cortex_m import nothing  # noqa: E402
 
 from casadical.export import write_c  # noqa: E402
 from casadical.export.c.kernel import compilers, version_of  # noqa: E402
-from casadical.export.c.reference import correct, network  # noqa: E402
+from casadical.export.c.reference import correct  # noqa: E402
 from casadical.export.c.tape_program import tape_program  # noqa: E402
 
 VECTORS = 20_000
@@ -33,11 +34,6 @@ COMPILERS = {
 }
 EMULATORS = {"aarch64": "qemu-aarch64", "armhf": "qemu-arm", "riscv64": "qemu-riscv64", "ppc64": "qemu-ppc64"}
 WORK = Path(tempfile.mkdtemp())
-NETWORK = models.network_function()
-CALLS = (
-    ("network", NETWORK, "arm_network", 3, network),
-    ("command", models.command(NETWORK), "arm_correct", 6, correct),
-)
 
 
 def digests(folder, flags):
@@ -57,39 +53,29 @@ def digests(folder, flags):
     return found
 
 
-def nothing(board, real):
-    """Return the image with a function that does nothing."""
-    (WORK / "empty.h").write_text(f"int empty(const {real} *q, {real} *out);\n")
-    (WORK / "empty.c").write_text(
-        f'#include "empty.h"\nint empty(const {real} *q, {real} *out) {{ out[0] = q[0]; return 0; }}\n'
-    )
-    return targets.cortex(board, [WORK / "empty.c"], WORK, targets.defines(real, "empty", 6, 10, header="empty.h"))
-
-
 def main():
     print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/c/export_models.py")
     print(*(f"  {version_of(compiler)}" for compiler in compilers()), sep="\n")
     print(f"\nthe same bits on other processors, {VECTORS} vectors, one hash (status and outputs)")
-    folders = {}
-    for kind, product, call, outputs, compute in CALLS:
-        for real in ("float", "double"):
-            folders[kind, real] = WORK / f"{kind}_{real}"
-            write_c(product, folders[kind, real], name="arm", real=real, vectors=1000)
-            wanted = targets.digest(*compute(tape_program(product, real), targets.bench_inputs(real, VECTORS)))
-            found = digests(folders[kind, real], targets.defines(real, call, outputs, VECTORS))
-            same = ", ".join(["NumPy", *(name for name, digest in found.items() if digest == wanted)])
-            others = {name: digest for name, digest in found.items() if digest != wanted}
-            print(f"  {kind} {real}: {wanted} on {same}" + (f"; OTHERS {others}" if others else ""), flush=True)
+    folders, command = {}, models.command(models.network_function())
+    for real in ("float", "double"):
+        folders[real] = WORK / real
+        write_c(command, folders[real], name="arm", real=real, vectors=1000)
+        wanted = targets.digest(*correct(tape_program(command, real), targets.bench_inputs(real, VECTORS)))
+        found = digests(folders[real], targets.defines(real, "arm_correct", 6, VECTORS))
+        same = ", ".join(["NumPy", *(name for name, digest in found.items() if digest == wanted)])
+        others = {name: digest for name, digest in found.items() if digest != wanted}
+        print(f"  command {real}: {wanted} on {same}" + (f"; OTHERS {others}" if others else ""), flush=True)
     print("\nCortex-M under QEMU: instructions a call (least to most), gcc -O2; flash and RAM that it adds")
     if targets.missing("arm-none-eabi-gcc", "qemu-system-arm"):
         print("  not run")
         return
     for board, real in (("M4F", "float"), ("M7", "double")):
-        for kind, _, call, outputs, _ in CALLS:
-            folder, empty = folders[kind, real], nothing(board, real)
-            it = targets.cortex(board, [folder / "arm.c"], folder, targets.defines(real, call, outputs, 10))
-            size = f"{it.text - empty.text} B flash, {it.ram - empty.ram} B RAM"
-            print(f"  {kind} {real}, {board}: {it.least:.0f} to {it.most:.0f}; {size}", flush=True)
+        empty = nothing(board, real, 10)
+        flags = targets.defines(real, "arm_correct", 6, 10)
+        it = targets.cortex(board, [folders[real] / "arm.c"], folders[real], flags)
+        size = f"{it.text - empty.text} B flash, {it.ram - empty.ram} B RAM"
+        print(f"  command {real}, {board}: {it.least:.0f} to {it.most:.0f}; {size}", flush=True)
 
 
 if __name__ == "__main__":

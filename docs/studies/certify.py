@@ -86,33 +86,22 @@ def figures_of_logs(folder: Path) -> dict[str, Any]:
     return found
 
 
-def certified_logs(folder: Path) -> str:
-    """The text of the certified.toml of a folder of logs."""
-    document = tomlkit.document()
-    document.add(
-        tomlkit.comment("Joint logs, readings less commands; made by docs/studies/certify.py, held by the tests.")
-    )
-    for name, content in figures_of_logs(folder).items():
-        document.add(name, tomlkit.item(content))
-    return tomlkit.dumps(document)
-
-
-def certified(calibration: Calibration) -> str:
+def certified(comment: str, content: dict[str, Any]) -> str:
     """The text of a problem's certified.toml."""
     document = tomlkit.document()
-    document.add(
-        tomlkit.comment("Position errors after calibration; made by docs/studies/certify.py, held by the tests.")
-    )
-    document.add("tolerance_mm", tomlkit.item(TOLERANCE_MM))
-    for method, content in figures(calibration).items():
-        document.add(method, tomlkit.item(content))
+    document.add(tomlkit.comment(f"{comment}; made by docs/studies/certify.py, held by the tests."))
+    for name, value in content.items():
+        document.add(name, tomlkit.item(value))
     return tomlkit.dumps(document)
 
 
 def main(names: list[str]) -> None:
     for name in names or sorted(p.parent.name for p in PROBLEMS.glob("*/problem.toml")):
-        logs = problem_file(PROBLEMS / name).logs
-        text = certified_logs(PROBLEMS / name) if logs else certified(calibrate(PROBLEMS / name))
+        if problem_file(PROBLEMS / name).logs:
+            text = certified("Joint logs, readings less commands", figures_of_logs(PROBLEMS / name))
+        else:
+            found = {"tolerance_mm": TOLERANCE_MM, **figures(calibrate(PROBLEMS / name))}
+            text = certified("Position errors after calibration", found)
         (PROBLEMS / name / "certified.toml").write_text(text, encoding="utf-8")
         print(f"problems/{name}/certified.toml")
 

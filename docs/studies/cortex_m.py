@@ -27,13 +27,13 @@ COUNT = 100
 BOARDS = ("M0+", "M4F", "M7", "A53")
 
 
-def nothing(board, real):
-    """Bytes of a program with a function that does nothing."""
+def nothing(board, real, count=1):
+    """The image of a program that calls a function that does nothing so many times."""
     (WORK / "nothing.h").write_text(f"int arm_nothing(const {real} *q, {real} *out);\n")
     (WORK / "nothing.c").write_text(
         f'#include "nothing.h"\nint arm_nothing(const {real} *q, {real} *out) {{ out[0] = q[0]; return 0; }}\n'
     )
-    flags = targets.defines(real, "arm_nothing", 6, 1, header="nothing.h")
+    flags = targets.defines(real, "arm_nothing", 6, count, header="nothing.h")
     return targets.cortex(board, [WORK / "nothing.c"], WORK, flags)
 
 
