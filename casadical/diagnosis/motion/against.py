@@ -30,17 +30,8 @@ PARAMETERS = ("kp", "friction", "damping", "armature", "delay")
 # `Response.log_values`: friction F, damping b and inertia J divided by the gain.
 RATIOS = ("kp [N m/rad]", "F/kp [mrad]", "b/kp [s]", "J/kp [s^2]", "delay [ms]")
 UNITS = np.array([1.0, 1e3, 1.0, 1.0, 1e3])  # factors from SI to the units of `RATIOS`
-# A quantity counts as determined if the standard deviation of its logarithm is below this fraction
-# of that of its prior, and below `MAX_DETERMINED_SIGMA`.
-DETERMINED_SHARE = 0.5
 # A quantity counts as determined if the standard deviation of its logarithm is below this, too.
 MAX_DETERMINED_SIGMA = 0.5
-# Standard deviation of a delay by the sampling of the log, divided by the time between samples.
-DELAY_SAMPLE_SHARE = 0.15
-# A value is contradicted if its logarithm differs from the identified one by more standard
-# deviations.
-CONTRADICTED_SIGMAS = 3.0
-INTERVAL_SIGMAS = 1.96  # half-width of the reported 95 % interval, in standard deviations
 SMALLEST = 1e-9  # value that replaces smaller ones in logarithms [SI]
 
 
@@ -232,10 +223,14 @@ def arbitrated(
         assert other is not None
         sigma = np.hypot(sigma, np.abs(one - other) / 2)
     sampled = np.zeros_like(sigma)
-    sampled[:, -1] = DELAY_SAMPLE_SHARE * own[0].step / np.maximum(response.delay, SMALLEST)
+    # The sampling of the log gives a delay a standard deviation of .15 times between samples.
+    sampled[:, -1] = 0.15 * own[0].step / np.maximum(response.delay, SMALLEST)
     sigma = np.hypot(sigma, sampled)
-    clear = (sigma < np.minimum(DETERMINED_SHARE * response.log_widths, MAX_DETERMINED_SIGMA)) & response.moved[:, None]
-    ends = (response.log_values + way * INTERVAL_SIGMAS * sigma for way in (-1, 1))
+    # A quantity counts as determined if the standard deviation of its logarithm is below half of
+    # that of its prior, and below `MAX_DETERMINED_SIGMA`.
+    clear = (sigma < np.minimum(0.5 * response.log_widths, MAX_DETERMINED_SIGMA)) & response.moved[:, None]
+    # Half-width of the reported 95 % interval, in standard deviations.
+    ends = (response.log_values + way * 1.96 * sigma for way in (-1, 1))
     low, high = (np.exp(end) * UNITS for end in ends)
     for path, given in sets.items():
         there = with_parameters(response, given)
@@ -248,7 +243,8 @@ def arbitrated(
             ]
         )
         # The ratios of a set without a gain are those to the gain that the logs show.
-        off = np.abs(np.log(np.maximum(values, SMALLEST)) - response.log_values) > CONTRADICTED_SIGMAS * sigma
+        # A value is contradicted if its logarithm is three standard deviations from the identified one.
+        off = np.abs(np.log(np.maximum(values, SMALLEST)) - response.log_values) > 3.0 * sigma
         verdict = np.where(clear, np.where(off, "contradicted", "agrees"), "not determined")
         errors = np.concatenate([run.position - there.predicted(run) for run in runs])
         yield Arbitration(

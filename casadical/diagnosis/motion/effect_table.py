@@ -27,9 +27,6 @@ REMOVALS: Mapping[str, Callable[[Response], Response]] = {
 }
 # The sentence names the effects and joints that together have this fraction of all costs.
 NAMED_SHARE = 0.8
-# An effect counts as having no cost if its removal raises no joint's mean square error by more than
-# this fraction of that with all effects.
-NEGLIGIBLE_RISE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,9 @@ class EffectTable:
             most = order[: 1 + int(np.searchsorted(reached, NAMED_SHARE))]
             said.append(f"{name} ({', '.join(self.joints[j] for j in sorted(most.tolist()))})")
             share += float(costs[name].sum()) / total
-        free = [name for name, cost in self.costs().items() if (cost < NEGLIGIBLE_RISE * self.full**2).all()]
+        # An effect counts as having no cost if its removal raises no joint's mean square error by
+        # more than a tenth of that with all effects.
+        free = [name for name, cost in self.costs().items() if (cost < 0.1 * self.full**2).all()]
         verb = "make" if len(said) > 1 else "makes"
         return f"{', '.join(said)} {verb} {100 * share:.0f} % of what the effects explain" + (
             f"; {', '.join(free)}: nothing." if free else "."

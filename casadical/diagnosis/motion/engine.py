@@ -30,11 +30,8 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, prior_weig
 # Samples of torques and positions that count as independent in a second, as noise is correlated.
 INDEPENDENT_SAMPLES_PER_S = {"torque": 8.0, "position": 3.0}
 NOISE_FREEDOM = 20.0  # degrees of freedom of the prior of a joint's noise variance
-NOISE_ROUNDS = 5  # number of alternating estimates of parameters and noise
-EXACT_CANDIDATES = 12  # number of the best listed candidates whose noise is estimated again
 MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
 MAX_CAUSES = 3  # largest number of causes that are searched for
-MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
 # Smallest log evidence [nats] with which a cause enters the model, with torques and of commands alone.
 MIN_EVIDENCE = {"torque": 20.0, "position": 30.0}
 # Causes that never count as fitting: on logs on which the rule was learnt they stood for errors of
@@ -59,7 +56,6 @@ HEALTHY_MARGIN = 1.5
 MIN_FURTHER_EVIDENCE = 60.0
 # Amplitude of a usual ripple, which is no cause, divided by the joint's dry friction.
 USUAL_RIPPLE_SHARE = 0.07
-MIN_FIT_PROBABILITY = 0.95  # smallest posterior of a cause that fits, in sum with its twins
 # Listed formulas are not exact: of the evidence of a smooth function, which fits any shape, this
 # part counts.
 SMOOTH_SHARE = 1 / 1.2
@@ -69,7 +65,6 @@ UNLISTED_ODDS = 5 / 11
 # Number of Gaussian bumps of a smooth function, which stands for a cause on no list, by variable.
 BUMPS_OF = {"angle": 28, "angle and direction": 20, "angle, one way": 20, "angle, other way": 20}
 BUMPS_OF |= {"speed": 14, "load": 10, "time": 28}
-UNLISTED_SIGMAS = 2.0  # typical size of a bump in units of the row's noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +192,8 @@ class LogProblem:
         """Return the fit of the base."""
         prior, variance = self.prior_precision, np.array([r.sigma**2 for r in self.rows])
         count = np.array([NOISE_FREEDOM + r.share * len(r.r) for r in self.rows])
-        for _ in range(NOISE_ROUNDS):
+        # Parameters and noise are estimated in turn, five times.
+        for _ in range(5):
             A, b = prior.copy(), prior @ self.mean
             for r, s2 in zip(self.rows, variance, strict=True):
                 A[np.ix_(r.own, r.own)] += r.grams[0] / s2
@@ -261,7 +257,8 @@ class LogProblem:
         logs = {k: float(np.logaddexp.reduce(own + log_weights)) for k, own in by_kappa.items()}
         first = Posterior.of_variants(logs, *given)
         ordered = [list(first.log_factor)[k] for k in ranked(list(first.log_factor.values()))]
-        listed = [label for label in ordered if self.by_label[label].listed][:EXACT_CANDIDATES]
+        # The noise of the best twelve listed candidates is estimated again.
+        listed = [label for label in ordered if self.by_label[label].listed][:12]
         unlisted = [k for k in ordered if not self.by_label[k].listed]
         tried = {(label, first.variant[label]) for label in (*listed, *unlisted[:3])}
         # What a noise of some rows explains, their columns do not show.
@@ -313,13 +310,14 @@ class Found:
     def fits(self) -> bool:
         """Return whether it fits: listed, not doubtful or usual, with enough evidence and probability."""
         name = self.label.partition("@")[0]
+        # Smallest posterior of a cause that fits, in sum with its twins.
         return (
             self.listed
             and name not in DOUBTFUL_CAUSES
             and not self.usual
             and self.gain >= max(MIN_EVIDENCE["torque"], self.rival)
             and self.gain >= HEALTHY_MARGIN * HEALTHY_EVIDENCE.get(name, 0.0)
-            and self.probability >= MIN_FIT_PROBABILITY
+            and self.probability >= 0.95
         )
 
 
@@ -356,7 +354,8 @@ def search(problem: LogProblem) -> tuple[tuple[Found, ...], tuple[Posterior, ...
 
     def is_cause(best: Found, found: Sequence[Found]) -> bool:
         """Return whether a cause is added to some."""
-        detected = best.ranking.none <= MAX_NOTHING_PROBABILITY and best.gain >= least
+        # A cause is detected if the posterior of no cause is at most 0.02.
+        detected = best.ranking.none <= 0.02 and best.gain >= least
         return detected and sum(not f.listed for f in found) < 2
 
     found, last = stepwise(next_given, is_cause, MAX_CAUSES)
@@ -419,7 +418,8 @@ def smooth_functions(view: LogView, rows: Iterable[Rows], variance: Array) -> It
                 continue
             centres = np.linspace(ends[0], ends[1], BUMPS_OF[name])
             ways = {"angle and direction": np.sign(v), "angle, one way": v > 0, "angle, other way": v < 0}
-            size = UNLISTED_SIGMAS * np.sqrt(s2) * ways.get(name, 1.0)
+            # Typical size of a bump in units of the row's noise.
+            size = 2.0 * np.sqrt(s2) * ways.get(name, 1.0)
             width = centres[1] - centres[0]
             label = f"smooth {r.kind} of joint {j + 1} by {name}"
             bumps: list[Signals] = [{(r.kind, j): size * np.exp(-0.5 * ((values - c) / width) ** 2)} for c in centres]

@@ -17,19 +17,11 @@ from casadical.core.statistics import first_of_best
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 
-# Largest candidate height of a surface above the tool's lowest height in the log [m].
-MAX_HEIGHT_ABOVE_LOWEST_M = 0.06
-HEIGHT_STEP_M = 5e-4  # step between candidate heights of a surface [m]
-MIN_HEIGHT_NOISE_M = 1e-3  # added to the estimated standard deviation of the tool's height [m]
-# Log evidence [nats] from which a surface is assumed.
-MIN_FLOOR_EVIDENCE = 150.0
 # Fraction of the samples that count as independent, as noise is correlated.
 INDEPENDENT_SAMPLE_FRACTION = 0.05
 # Residuals beyond this many standard deviations get less weight (pseudo-Huber).
 OUTLIER_SIGMAS = 3.0
 CONTACT_MARGIN_M = 4e-3  # the tool counts as in contact up to this height above the surface [m]
-MAX_CONTACT_FORCE_STEPS = 6  # largest number of Newton steps to the contact force
-PENETRATION_TOLERANCE_M = 1e-5  # largest height error of a converged contact force [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +66,14 @@ class Floor:
         z, slope = self.function(ends(torque))
         if float(z) >= self.height:
             return torque, 0.0
-        for _ in range(MAX_CONTACT_FORCE_STEPS):
+        # Largest number of Newton steps to the contact force.
+        for _ in range(6):
             lever = np.asarray(slope).ravel()
             torque = force * lever
             z, slope = self.function(ends(torque))
             low = float(z) - self.height
-            if abs(low) < PENETRATION_TOLERANCE_M:
+            # Largest height error of a converged contact force [m].
+            if abs(low) < 1e-5:
                 break
             force = max(0.0, force - low / float((lever**2 * compliance).sum()))
         return torque, force
@@ -101,17 +95,20 @@ def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
     floor = Floor(dynamics)
     read_heights, replayed_heights = floor.above(read), floor.above(replayed)
     # From the lower quartile, as many samples may be in contact with a surface.
-    sigma = float(np.quantile(np.abs(read_heights - replayed_heights), 0.25)) / 0.3186 + MIN_HEIGHT_NOISE_M
+    # Added to the estimated standard deviation of the tool's height [m].
+    sigma = float(np.quantile(np.abs(read_heights - replayed_heights), 0.25)) / 0.3186 + 1e-3
 
     def cost(heights: Array) -> float:
         """Return the pseudo-Huber cost of replayed heights against those read [nats]."""
         wide = np.sqrt(1 + ((read_heights - heights) / (OUTLIER_SIGMAS * sigma)) ** 2) - 1
         return INDEPENDENT_SAMPLE_FRACTION * OUTLIER_SIGMAS**2 * float(wide.sum())
 
-    tried = read_heights.min() + np.arange(0.0, MAX_HEIGHT_ABOVE_LOWEST_M, HEIGHT_STEP_M)
+    # Candidate heights of a surface are up to 60 mm above the tool's lowest one, in steps of 0.5 mm.
+    tried = read_heights.min() + np.arange(0.0, 0.06, 5e-4)
     costs = np.array([cost(np.maximum(replayed_heights, height)) for height in tried])
     best = first_of_best(-costs, logs=True)
-    return Floor(dynamics, float(tried[best])) if cost(replayed_heights) - costs[best] > MIN_FLOOR_EVIDENCE else None
+    # Log evidence [nats] from which a surface is assumed.
+    return Floor(dynamics, float(tried[best])) if cost(replayed_heights) - costs[best] > 150.0 else None
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,8 @@ from casadical.measurements.logs.log import JointLog
 
 WITHHELD_THIRDS = 3  # number of parts of each run that are held out in turn
 FRICTION_MEMORY_RAD = 1e-3  # half-width of the play operator of dry friction [rad]
-# Prior standard deviation of a coefficient, divided by the joint's peak torque.
-SIGMA_FRICTION = 0.3
 # Tried Stribeck curves: speed, divided by the joint's 99 % speed, and exponent.
 STRIBECK_CURVES = tuple(product((0.05, 0.15, 0.4), (1, 2)))
-MAX_ROWS = 20_000  # of longer logs every k-th row is used
-# A law predicts held-out rows better if its misfit is lower by this fraction.
-MIN_MISFIT_DECREASE = 0.02
 NAMED_PROBABILITY = 0.95  # laws that together have this probability are reported
 # Columns of each joint: constant, rotor; dry, viscous and curved (v |v|) friction; and dry friction
 # times the mean of motor torque and load, times the motor torque, and times the load. The last two,
@@ -107,7 +102,8 @@ class FrictionLaws:
 
         Where none of the laws is true, probabilities are too certain.
         """
-        limit = min(self.misfit[law] for law in self.likely) * (1 - MIN_MISFIT_DECREASE)
+        # A law predicts held-out rows better if its misfit is lower by 2 %.
+        limit = min(self.misfit[law] for law in self.likely) * 0.98
         return [law for law in self.probability if law not in self.likely and self.misfit[law] < limit]
 
     @property
@@ -167,8 +163,10 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
         moves &= (floor.above(m.position) > CONTACT_MARGIN_M)[:, None]
     starts = {r: np.flatnonzero(m.run == r) for r in np.unique(m.run)}
     third = np.concatenate([(WITHHELD_THIRDS * np.arange(len(at))) // len(at) for at in starts.values()])
-    own, scale = len(JOINT_COLUMNS) + len(SLOW_COLUMNS) * len(STRIBECK_CURVES), SIGMA_FRICTION * peak
-    rows = slice(None, None, 1 + len(m.q) // MAX_ROWS)
+    # Prior standard deviation of a coefficient, divided by the joint's peak torque.
+    own, scale = len(JOINT_COLUMNS) + len(SLOW_COLUMNS) * len(STRIBECK_CURVES), 0.3 * peak
+    # Of longer logs every k-th row is used.
+    rows = slice(None, None, 1 + len(m.q) // 20_000)
     every = (m.v, m.a / (np.abs(m.a).max(axis=0) + 1e-9), slip, moves, third, torque, torque - arm.rotor * m.a)
     v, a, slip, moves, third, logged, torque = (values[rows] for values in every)
     Y, rest = arm.regressor(m.q[rows], v, m.a[rows]), np.zeros_like(v)

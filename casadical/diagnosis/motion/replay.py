@@ -29,11 +29,7 @@ from casadical.measurements.logs.log import JointLog, joined
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-WITHHELD_FOLDS = 4  # largest number of folds of the runs if no log is withheld
 MIN_COMMAND_SPAN_RAD = 5e-3  # a joint moves if its commands span more than this [rad]
-SPEED_BINS = 24  # number of speed bins of a friction figure
-PANEL_HEIGHT_PX = 200  # height of each row of panels of a figure [px]
-MIN_SAMPLES_PER_BIN = 15  # speed bins of a friction figure with fewer samples are not drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +209,8 @@ def replayed(
         predicted = tuple(response.predicted(run) for run in runs)
         sets = tuple(arbitrated(robot, against, own, runs, response)) if against else ()
         return Replay(response, tuple(runs), (response,) * len(runs), predicted, bool(withheld_runs), sets)
-    folds = min(WITHHELD_FOLDS, len(own))
+    # Largest number of folds of the runs if no log is withheld.
+    folds = min(4, len(own))
     parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
     response, *others = fitted(robot, *parts)
     show("replay")
@@ -278,7 +275,8 @@ def _panels(
         Panel(k // 2 + 1, k % 2 + 1, replay.runs[0].joints[j], Axis(x if k >= len(joints) - 2 else ""), Axis(y))
         for k, j in enumerate(joints)
     ]
-    return Figure(name, title, series, height=180 + PANEL_HEIGHT_PX * ((len(joints) + 1) // 2), panels=panels)
+    # Height of each row of panels of a figure [px].
+    return Figure(name, title, series, height=180 + 200 * ((len(joints) + 1) // 2), panels=panels)
 
 
 def _lines(x: Array, lines: Mapping[str, Array], joint: int, panel: int) -> list[Series]:
@@ -302,9 +300,11 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
     v, torque = replay.friction_samples
     v, torque = v[:, j], torque[:, j]
     largest = float(np.quantile(np.abs(v), 0.99)) + 1e-6
-    edges = np.linspace(-largest, largest, SPEED_BINS + 1)
+    # A friction figure has 24 speed bins.
+    edges = np.linspace(-largest, largest, 25)
     parts = [torque[(v >= a) & (v < b)] for a, b in pairwise(edges)]
-    filled = [k for k, part in enumerate(parts) if len(part) >= MIN_SAMPLES_PER_BIN]
+    # Speed bins of a friction figure with fewer samples are not drawn.
+    filled = [k for k, part in enumerate(parts) if len(part) >= 15]
     middle = (edges[1:] + edges[:-1])[filled] / 2
     low, high = (np.array([np.quantile(parts[k], share) for k in filled]) for share in (0.1, 0.9))
     r = replay.response

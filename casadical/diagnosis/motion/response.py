@@ -41,41 +41,16 @@ from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
 PIECE_DURATION_S = 30.0  # runs are divided into pieces of about this duration for the fit [s]
-# Prior standard deviation of the logarithm of a servo's compliance, one over its gain.
-SIGMA_LOG_COMPLIANCE = 0.5
-SIGMA_LOG_DECLARED_GAIN = 0.1  # prior standard deviation of the logarithm of a declared gain
-# Prior standard deviation of the logarithm of a gain estimated from logged torques.
-SIGMA_LOG_MEASURED_GAIN = 0.02
-SIGMA_LOG_FRICTION = 1.5  # prior standard deviation of the logarithm of dry friction / gain
 # Prior standard deviation of the logarithms of damping / gain, inertia / gain and delay.
 SIGMA_LOG_TIMES = 1.5
 # A joint is lightly loaded if its rms gravity torque, divided by the largest one of all joints, is
 # below this: its log cannot show the compliance.
 LIGHT_LOAD_SHARE = 0.1
-# Prior standard deviation of the logarithm of a lightly loaded joint's gain, about the median one.
-SIGMA_LOG_LIGHT_GAIN = 0.25
-TYPICAL_LAG_S = 0.05  # prior median of damping / gain [s]
-TYPICAL_INERTIA_S2 = 0.002  # prior median of inertia / gain [s^2]
-TYPICAL_DELAY_S = 0.02  # prior median of the command's delay [s]
-SIGMA_OFFSET_RAD = 0.05  # prior standard deviation of a constant position error [rad]
-NOISE_ROUNDS = 4  # number of rounds of the fit, each with the noise re-estimated
-MAX_STEPS_PER_ROUND = 6  # largest number of Levenberg-Marquardt steps with one noise
-MIN_COST_DECREASE = 1e-3  # relative decrease of the cost below which a round ends
 DIFFERENCE_STEP = 1e-4  # step of finite differences of the parameters, logarithms or [rad]
 # Decimals to which a Levenberg-Marquardt step is rounded. Where the cost has kinks (a delay that
 # passes a sample, a joint that sticks), steps amplify rounding errors, and processors would arrive
 # at different parameters.
 STEP_DECIMALS = 6
-# A joint whose commands span less than this [rad] carries no information on its response.
-MIN_COMMAND_SPAN_RAD = 0.02
-# Prior standard deviation of the logarithmic parameters of a joint that does not move.
-SIGMA_LOG_UNMOVED = 0.05
-# Correlation coefficient above which a logged torque counts as proportional to the position error.
-MIN_SERVO_CORRELATION = 0.95
-# Candidate delays of the command [s], of which that with the largest correlation of torque and
-# position error is used.
-TRIED_DELAYS_S = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
-MIN_NOISE_RAD = 5e-4  # added to the estimated standard deviation of a joint's residual [rad]
 MIN_ROTOR_SHARE = 0.05  # smallest rotor inertia, divided by the joint's inertia
 # Number of parameters of each joint: logarithm of the compliance, offset, logarithms of friction,
 # damping and inertia (all three divided by the gain) and of the delay.
@@ -518,7 +493,8 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
 
 def _moves(pieces: Sequence[Piece]) -> Array:
     """Return the mask of the joints whose commands moved them, shape (joints,)."""
-    return np.asarray(np.max([np.ptp(piece.command, axis=0) for piece in pieces], axis=0) > MIN_COMMAND_SPAN_RAD)
+    # A joint whose commands span less than 0.02 rad carries no information on its response.
+    return np.asarray(np.max([np.ptp(piece.command, axis=0) for piece in pieces], axis=0) > 0.02)
 
 
 def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
@@ -529,8 +505,12 @@ def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
     """
     runs = [r for r in runs if r.step]
     torques = [None if r.torque is None and arm.per_ampere is None else torque_of(r, arm) for r in runs]
-    best, gains = np.full(arm.joints, MIN_SERVO_CORRELATION), np.full(arm.joints, np.nan)
-    for delay in TRIED_DELAYS_S if all(t is not None for t in torques) else ():
+    # Correlation coefficient above which a logged torque counts as proportional to the position
+    # error.
+    best, gains = np.full(arm.joints, 0.95), np.full(arm.joints, np.nan)
+    # Of these delays of the command [s] that with the largest correlation of torque and position error
+    # is used.
+    for delay in (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06) if all(t is not None for t in torques) else ():
         errors = [delayed(np.asarray(r.command), delay / r.step) - r.position for r in runs]
         e, torque = (np.concatenate([np.asarray(v) for v in each]) for each in (errors, torques))
         e, torque = (v - np.nansum(v, axis=0) / np.maximum(np.isfinite(v).sum(axis=0), 1) for v in (e, torque))
@@ -564,9 +544,8 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
     )
     if gain is None:
         middle[:, 0] = np.where(np.isfinite(measured_gains), -np.log(measured_gains), middle[:, 0])
-    middle[:, 2:] = np.log(
-        np.column_stack([error / 3, *(np.full(n, v) for v in (TYPICAL_LAG_S, TYPICAL_INERTIA_S2, TYPICAL_DELAY_S))])
-    )
+    # Prior medians of damping / gain [s], of inertia / gain [s^2] and of the command's delay [s].
+    middle[:, 2:] = np.log(np.column_stack([error / 3, *(np.full(n, v) for v in (0.05, 0.002, 0.02))]))
     if delay is not None:
         middle[:, 5] = np.log(np.maximum(delay, 1e-4))
     # Drives identified from an earlier log are prior medians; joints that do not move keep them.
@@ -575,11 +554,13 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
         if (declared := drive.of_joints(name, n)) is not None:
             middle[:, k] = declared * yields if k == 1 else np.log(np.maximum(declared * yields, 1e-6))
     light = heavy < LIGHT_LOAD_SHARE * heavy.max()
+    # Prior standard deviations of the logarithm of a servo's compliance, one over its gain, which may
+    # be declared; of a constant position error [rad]; and of the logarithms of the others.
     width = np.tile(
         [
-            SIGMA_LOG_COMPLIANCE if gain is None else SIGMA_LOG_DECLARED_GAIN,
-            SIGMA_OFFSET_RAD,
-            SIGMA_LOG_FRICTION,
+            0.5 if gain is None else 0.1,
+            0.05,
+            1.5,
             SIGMA_LOG_TIMES,
             SIGMA_LOG_TIMES,
             SIGMA_LOG_TIMES,
@@ -587,9 +568,13 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
         (n, 1),
     )
     if gain is None:
-        width[light, 0] = SIGMA_LOG_LIGHT_GAIN
-        width[np.isfinite(measured_gains), 0] = SIGMA_LOG_MEASURED_GAIN
-    width[np.ix_(~_moves(pieces), np.array(_LOG_PARAMETERS))] = SIGMA_LOG_UNMOVED
+        # Prior standard deviation of the logarithm of a lightly loaded joint's gain, about the
+        # median one.
+        width[light, 0] = 0.25
+        # Prior standard deviation of the logarithm of a gain estimated from logged torques.
+        width[np.isfinite(measured_gains), 0] = 0.02
+    # Prior standard deviation of the logarithmic parameters of a joint that does not move.
+    width[np.ix_(~_moves(pieces), np.array(_LOG_PARAMETERS))] = 0.05
     steps = np.repeat([[piece.step] for piece in pieces], n, axis=1)
     return _Problem(command, position, weight, load.reshape(command.shape), steps, middle, width)
 
@@ -610,20 +595,24 @@ def _solved(p: _Problem, start: Array) -> tuple[Array, Array]:
         cost, H, b = _normal(p, sigma, x, *trial)
         return cost, lambda of: (H[of], b[of])
 
-    for _ in range(NOISE_ROUNDS):
+    # Number of rounds of the fit, each with the noise re-estimated.
+    for _ in range(4):
         typical = [np.median(np.abs(e[w > 0])) for e, w in zip(best[0].T, p.weight.T, strict=True)]
-        sigma, known = 1.4826 * np.array(typical) + MIN_NOISE_RAD, iter([best])
+        # Added to the estimated standard deviation of a joint's residual [rad].
+        sigma, known = 1.4826 * np.array(typical) + 5e-4, iter([best])
+        # Largest number of Levenberg-Marquardt steps with one noise.
         for end in levenberg_marquardt(
             evaluate,
             x,
-            1 + MAX_STEPS_PER_ROUND,
+            1 + 6,
             solve=lambda _, damped, right: np.linalg.solve(damped, right[..., None])[..., 0].round(STEP_DECIMALS),
             first=damping,
             factors=(5, 8),
         ):
             for own, values in zip(best, trial, strict=True):
                 own[:, :, end.gain > 0] = values[:, :, end.gain > 0]
-            if (np.abs(end.gain) < MIN_COST_DECREASE * (end.cost + np.maximum(end.gain, 0))).all():
+            # Relative decrease of the cost below which a round ends.
+            if (np.abs(end.gain) < 1e-3 * (end.cost + np.maximum(end.gain, 0))).all():
                 break
         x, damping = end.point, end.damping
     covariance = np.linalg.inv(_normal(p, sigma, x, *best)[1])[:, _LOG_PARAMETERS][:, :, _LOG_PARAMETERS]

@@ -25,21 +25,10 @@ from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Names of the variables over which the region of a joint's largest residual is reported.
-REGION_VARIABLES = ("angle", "speed", "load", "time")
 REGION_PARTS = 4  # number of quantile ranges of each variable in which a residual is compared
-# A range of angle, speed, load or time is reported if its rms residual exceeds the overall one by
-# this factor.
-MIN_REGION_RATIO = 1.5
-MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of probable causes
-WIDE_SCALE = 5.6  # prior standard deviation of a payload whose mass is reported, in typical ones
-# Smallest probability of a cause and its twins that is not called ambiguous.
-MIN_CLEAR_PROBABILITY = 0.9
-MAX_SAMPLES = 12000  # of longer logs every k-th sample is used, so that about this many are judged
 # Smallest log evidence [nats] of a hint on the whole arm, which gathers errors of all joints: 1.5
 # times the largest in 13 healthy logs of an SO-101 with commands alone.
 MIN_ARM_HINT_EVIDENCE = 156.0
-MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +118,8 @@ class LogDiagnosis(Result):
         if not self.found:
             return "none"
         first = self.found[0]
-        return "ambiguous" if first.listed and first.probability < MIN_CLEAR_PROBABILITY else "unknown"
+        # Smallest probability of a cause and its twins that is not called ambiguous.
+        return "ambiguous" if first.listed and first.probability < 0.9 else "unknown"
 
     @cached_property
     def unit(self) -> tuple[str | None, Array]:
@@ -197,7 +187,8 @@ class LogDiagnosis(Result):
             return None
         others = [problem.groups[f.label, f.variant] for f in self.found if f.label != "payload"]
         own = problem.groups["payload", 0]
-        complete = problem.with_causes(np.sort(np.concatenate([own, *others])), WIDE_SCALE)
+        # Prior standard deviation of a payload whose mass is reported, in typical ones.
+        complete = problem.with_causes(np.sort(np.concatenate([own, *others])), 5.6)
         k = len(problem.mean) + int(np.searchsorted(np.sort(np.concatenate([own, *others])), own[0]))
         unit = UNDECLARED_PAYLOAD_SHARE * float(self.arm.inertial[::10].sum())
         mass, error = complete.fit.x[k] * unit, float(np.sqrt(np.linalg.inv(complete.fit.precision)[k, k])) * unit
@@ -260,22 +251,25 @@ class LogDiagnosis(Result):
             return ""
         residual, parts = residual**2, []
         signals = (m.q[:, j], m.v[:, j], self.view.variables["load"][:, j], m.time)
-        for name, values in zip(REGION_VARIABLES, (v[rows.used] for v in signals), strict=True):
+        # Names of the variables over which the region of a joint's largest residual is reported.
+        for name, values in zip(("angle", "speed", "load", "time"), (v[rows.used] for v in signals), strict=True):
             edges = np.quantile(values, np.linspace(0, 1, REGION_PARTS + 1))
             part = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, REGION_PARTS - 1)
             mean = np.array([residual[part == k].mean() if (part == k).any() else 0.0 for k in range(REGION_PARTS)])
             k = first_of_best(mean)
             parts.append((float(np.sqrt(mean[k] / residual.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
         worst = parts[first_of_best([share for share, _ in parts])]
-        return worst[1] if worst[0] > MIN_REGION_RATIO else ""
+        # A range is reported if its rms residual exceeds the overall one by this factor.
+        return worst[1] if worst[0] > 1.5 else ""
 
     def _fits(self) -> Table:
         """Return the table of the most probable causes, and of none, each with its probability."""
         ranking, problem = self.rankings[0], self.problem
+        # The table of probable causes has three, and none below a probability of 0.01.
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(problem, label))
-            for label in ranking.order[:MAX_SHOWN_CAUSES]
-            if ranking.probability[label] > MIN_SHOWN_PROBABILITY
+            for label in ranking.order[:3]
+            if ranking.probability[label] > 0.01
         ]
         rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
         heads = ("cause", "probability", "log evidence", "what the log shows")
@@ -437,7 +431,8 @@ def log_views_of(
         """
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
-        return log_view(motion_of(used, of, max_samples=MAX_SAMPLES), of, peak_torque)
+        # Of longer logs every k-th sample is used, so that about this many are judged.
+        return log_view(motion_of(used, of, max_samples=12000), of, peak_torque)
 
     if reference is None:
         return (seen(log, arm),)

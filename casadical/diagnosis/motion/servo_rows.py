@@ -43,22 +43,7 @@ BASE_PARAMETERS = {
     "curved": (0.2, 0.05, 2e-2),
 }
 PARAMETER_COUNT = len(BASE_PARAMETERS)
-TYPICAL_FRICTION_RAD = 0.01  # prior median of dry friction divided by the gain
-TYPICAL_LOAD_FRICTION = 0.08  # prior mean of friction divided by the load
-# Prior median of damping divided by the servo's declared kd (motors add to it).
-TYPICAL_DAMPING_SHARE = 1.5
-TYPICAL_INERTIA_SHARE = 1.6  # prior median of inertia / rotor inertia of the robot's drives
 CLOCK_STEPS = 0.25  # prior mean (negative) and standard deviation of an additional delay [samples]
-STRIBECK_SPEED_RAD_S = 0.1  # speed at which the excess of friction at low speed has fallen to 1/e
-TYPICAL_LAG_S = 0.06  # prior median of damping / gain where kd is not declared [s]
-BASE_NOISE_RAD = 1.5e-3  # typical noise of a position in a replay, without the reading's resolution
-SETTLING_TIME_S = 0.3  # time at the start of each run that is not used [s]
-START_NOISE_FACTOR = 2.0  # noise at the start of the base's fit, divided by the typical noise
-START_FRICTION_FACTORS = (1.0, 3.0)  # frictions at the start of the base's fit / their prior median
-MAX_STEPS = 12  # largest number of Levenberg-Marquardt steps of the base's fit with one noise
-MIN_COST_DECREASE = 0.1  # decrease of the cost below which the fit ends
-COLUMN_SCALES = (0.3, 1.0)  # factors on a cause's typical size for its columns; of many parameters the last
-SAMPLES_PER_BATCH = 1_000_000  # number of samples of all variants that are simulated at once
 CAPACITY_SHARES = (0.5, 0.7, 0.85, 0.95)  # tried torque limits, divided by the largest torque
 
 
@@ -95,7 +80,8 @@ class Replay:
             [N m], and "position" error [rad], which is subtracted from the command
         capacity : largest position error that the servo acts on, shape (variants,) [rad]
         """
-        batch = max(1, SAMPLES_PER_BATCH // len(self.view.motion.q))
+        # Number of samples of all variants that are simulated at once.
+        batch = max(1, 1_000_000 // len(self.view.motion.q))
         out = [np.zeros((len(self.view.motion.q), 0))]
         out += [
             self._angles(joint[s], x[s], signals[s], None if capacity is None else capacity[s])
@@ -114,7 +100,8 @@ class Replay:
         limit = friction + np.maximum(x[:, 6], 0.0) * yields * np.abs(loads)
         cold = np.exp(-m.time / WARM_UP_TIME_S)[:, None]
         speed = m.v[:, joint]
-        limit *= 1 + x[:, 9] * cold + x[:, 11] * np.exp(-np.abs(speed) / STRIBECK_SPEED_RAD_S)
+        # Speed at which the excess of friction at low speed has fallen to 1/e.
+        limit *= 1 + x[:, 9] * cold + x[:, 11] * np.exp(-np.abs(speed) / 0.1)
         drag = damping * speed * (x[:, 10] * cold + x[:, 12] * np.abs(speed))
         command = m.command[:, joint] - x[:, 5] * m.command_v[:, joint]
         for k, own in enumerate(signals):
@@ -154,7 +141,8 @@ def servo_problem(views: Sequence[LogView]) -> tuple[LogProblem, Replay, Array]:
     turns = _turns(statics, views[0].arm.spread)
     mean, width = _prior(views[0])
     covariance = np.stack([np.diag(w**2) for w in width])
-    sigma = np.hypot(BASE_NOISE_RAD, views[0].motion.quantum / np.sqrt(12))
+    # Typical noise of a position in a replay, without the reading's resolution.
+    sigma = np.hypot(1.5e-3, views[0].motion.quantum / np.sqrt(12))
     for view, static in reversed([*zip(views, statics, strict=True)]):
         replay = _replay(view, static, turns)
         x, problem = _fitted(replay, mean, covariance, sigma)
@@ -203,10 +191,13 @@ def _prior(view: LogView) -> tuple[Array, Array]:
     arm, n = view.arm, view.arm.joints
     mean = np.zeros((n, PARAMETER_COUNT))
     mean[:, 0] = -np.log(view.gain)
-    mean[:, 2] = np.log(TYPICAL_FRICTION_RAD)
-    damping = TYPICAL_LAG_S if arm.kd is None or not arm.kd.any() else TYPICAL_DAMPING_SHARE * arm.kd / view.gain
+    # Prior median of dry friction divided by the gain.
+    mean[:, 2] = np.log(0.01)
+    # Prior median of damping / gain [s]: motors add to the servo's declared kd.
+    damping = 0.06 if arm.kd is None or not arm.kd.any() else 1.5 * arm.kd / view.gain
     mean[:, 3] = np.log(np.maximum(damping, 5e-3))
-    mean[:, 4] = np.log(np.maximum(TYPICAL_INERTIA_SHARE * arm.rotor / view.gain, 1e-4))
+    # Prior median of inertia / rotor inertia of the robot's drives.
+    mean[:, 4] = np.log(np.maximum(1.6 * arm.rotor / view.gain, 1e-4))
     mean[:, 5] = -CLOCK_STEPS * view.motion.step
     if arm.kd is not None and arm.kd.any():
         # D acts on the speed, or on the speed's error, where the command's speed moves it ahead.
@@ -216,7 +207,8 @@ def _prior(view: LogView) -> tuple[Array, Array]:
             for v, e in zip(m.v.T, (m.command - m.position).T, strict=True)
         ]
         mean[:, 5] -= ahead * (np.median(slopes) < 0.5 * np.median(ahead))
-    mean[:, 6] = TYPICAL_LOAD_FRICTION
+    # Prior mean of friction divided by the load.
+    mean[:, 6] = 0.08
     width = np.tile([sigma for sigma, *_ in BASE_PARAMETERS.values()], (n, 1))
     width[:, 5] = np.hypot(width[:, 5], CLOCK_STEPS * view.motion.step)
     if arm.kp is None:
@@ -231,8 +223,10 @@ def _prior(view: LogView) -> tuple[Array, Array]:
 def _fitted(replay: Replay, mean: Array, covariance: Array, sigma: Array) -> tuple[Array, LogProblem]:
     """Return the parameters of highest density, (joints, PARAMETER_COUNT), and the problem linearised there."""
     # With a variance that contains the misfit of the start, priors would hold the parameters there.
-    small, starts = START_NOISE_FACTOR**2 * sigma**2, []
-    for factor in START_FRICTION_FACTORS:
+    # At the start of the base's fit the noise is twice the typical one.
+    small, starts = 4.0 * sigma**2, []
+    # Frictions at the start of the base's fit / their prior median.
+    for factor in (1.0, 3.0):
         start = mean.copy()
         start[:, 2] += np.log(factor)
         starts.append(_descended(replay, start, mean, covariance, sigma, small))
@@ -260,10 +254,11 @@ def _descended(
         problems.append(problem)
         return squares + ((mean - x) * pull).sum(axis=1), lambda of: ((H + prior)[of], (b + pull)[of])
 
+    # Largest number of Levenberg-Marquardt steps of the base's fit with one noise.
     for end in levenberg_marquardt(
         evaluate,
         x,
-        1 + MAX_STEPS,
+        1 + 12,
         move=lambda x, step: np.clip(x + step, low, high),
         first=0.1,
         factors=(6, 6),
@@ -271,7 +266,8 @@ def _descended(
         accepted, trial = problems[0], problems.pop()
         rows = zip(accepted.rows, trial.rows, end.gain > 0, strict=True)
         problems[:] = [replace(trial, rows=tuple(new if ok else old for old, new, ok in rows))]
-        if (np.abs(end.gain) < MIN_COST_DECREASE).all():
+        # Decrease of the cost below which the fit ends.
+        if (np.abs(end.gain) < 0.1).all():
             break
     return end.point, end.cost, replace(problems[0], mean=(mean - end.point).ravel())
 
@@ -288,7 +284,8 @@ def _linearised(replay: Replay, x: Array, mean: Array, covariance: Array, sigma:
     )
     used = np.ones(len(m.q), dtype=bool)
     for start in replay.starts:
-        used[start : start + int(SETTLING_TIME_S / m.step)] = False
+        # Time at the start of each run that is not used [s].
+        used[start : start + int(0.3 / m.step)] = False
     fold = m.run if len(replay.starts) > 1 else np.floor(3 * np.arange(len(m.q)) / len(m.q))
     whole = np.zeros((n * PARAMETER_COUNT, n * PARAMETER_COUNT))
     rows = []
@@ -318,7 +315,8 @@ def simulated_columns(
         joints, signals, owners = [], [], []
         for candidate, plus, minus in batch:
             # Causes of many parameters are about linear in them: one size is enough.
-            for scale in COLUMN_SCALES[-1 if len(plus) > 1 else 0 :]:
+            # Factors on a cause's typical size for its columns; of many parameters the last.
+            for scale in (0.3, 1.0)[-1 if len(plus) > 1 else 0 :]:
                 places = [(p, j) for p, s in enumerate(plus) for j in sorted({j for _, j in s if moves[j]})]
                 owners.append((candidate, scale, places))
                 for p, j in places:

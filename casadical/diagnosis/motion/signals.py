@@ -21,18 +21,12 @@ from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
 SMOOTHING_WIDTH_S = 0.08  # full width of the smoothing kernel (Hann window), usually [s]
-EXCLUDED_EDGE_S = 0.15  # time at both ends of each run that is excluded [s]
 # Faster logs are thinned by a whole number to about this sample rate, at most twice as much [Hz].
 MAX_RATE_HZ = 62.5
 PAUSE_BETWEEN_RUNS_S = 10.0  # assumed time between the end of a run and the next one [s]
-STANDSTILL_SPEED_SHARE = 0.02  # speed below which a joint is at rest, divided by its rms speed
-STANDSTILL_SPEED_RAD_S = 2e-3  # smallest value of this limit, for joints that move slowly [rad/s]
 FILTER_BLOCK_SAMPLES = 64  # number of samples that the low-pass filter computes at a time
 REGRESSOR_BLOCK_SAMPLES = 4000  # number of samples at which the regressor is computed at a time
 MIN_QUANTUM_RAD = 1e-6  # smaller changes of a reading are not taken as its resolution [rad]
-MAX_CLOCK_ERROR = 0.005  # relative error of the sample rate above which the clock is faulty
-MAX_LOST_SHARE = 0.01  # fraction of missing samples above which a log is faulty
-MAX_REPEATED_SHARE = 0.02  # fraction of repeated samples, in motion, above which a log is faulty
 MIN_GAP_STEPS = 1.6  # a time step is a gap above this multiple of the usual step
 MIN_MOVING_QUANTA = 3.0  # a joint moves if its mean change a sample exceeds this many quanta
 
@@ -223,7 +217,8 @@ def _run(
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):
         return None
-    edge = int(EXCLUDED_EDGE_S / step)
+    # Time at both ends of each run that is excluded [s].
+    edge = int(0.15 / step)
     samples = slice(edge, len(t) - edge, every)
 
     def smooth(values: Array) -> Array:
@@ -245,7 +240,8 @@ def _run(
         signals["torque"] = smooth(torque)
     if run.temperature is not None and np.isfinite(run.temperature).any(axis=0).all():
         signals["heat"] = smooth(run.temperature)
-    stands = np.abs(v) < np.maximum(STANDSTILL_SPEED_SHARE * np.sqrt((v**2).mean(axis=0)), STANDSTILL_SPEED_RAD_S)
+    # A joint is at rest below 2 % of its rms speed, or 2 mrad/s if it moves slowly.
+    stands = np.abs(v) < np.maximum(0.02 * np.sqrt((v**2).mean(axis=0)), 2e-3)
     at = np.arange(len(t))[:, None]
     signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
     used = {"time": t[samples] - t[0], **{k: values[samples] for k, values in signals.items()}}
@@ -362,7 +358,8 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
     """
     step = _mean_step(log)
     rate = arm.log_rate or (1 / _mean_step(reference) if reference else None)
-    if rate and abs((factor := step * rate) - 1) > MAX_CLOCK_ERROR:
+    # Relative error of the sample rate above which the clock is faulty.
+    if rate and abs((factor := step * rate) - 1) > 0.005:
         yield Fault(
             "clock_scale",
             f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / step:.4g} rows a second, "
@@ -372,7 +369,8 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
     steps = np.diff(log.time)[np.diff(log.run) == 0] / max(log.step, 1e-12)
     lost = float(np.round(steps[steps > MIN_GAP_STEPS] - 1).sum() / max(steps.sum(), 1.0))
     repeated = _repeated_share(log)
-    if lost > MAX_LOST_SHARE or repeated > MAX_REPEATED_SHARE:
+    # Fractions of missing samples, and of repeated ones in motion, above which a log is faulty.
+    if lost > 0.01 or repeated > 0.02:
         yield Fault(
             "lost_samples",
             f"samples are missing ({100 * lost:.1f} %) or repeated ({100 * repeated:.1f} %)",

@@ -13,22 +13,14 @@ from casadical.diagnosis.motion.engine import LogProblem, Rows
 from casadical.diagnosis.motion.view import LogView
 
 MIN_SLIDING_RAD = 3e-3  # distance behind a reversal from which a joint slides [rad]
-MAX_BODY_PARAMETERS = 30  # number of combinations of the bodies' parameters that logs determine best
 STRIBECK_SPEED_RAD_S = 0.05  # speed at which the excess of friction at low speed has fallen to 1/e
 # Groups of friction torques that change by a common factor from day to day.
 FRICTION_GROUPS = (("slip", "dip"), ("viscous", "curved"), ("loaded", "by side"), ("warm", "warm viscous"))
 WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
-DAILY_GROUP_SHARE = 0.13  # prior sigma of the relative daily change of a joint's group of frictions
-DAILY_JOINT_SHARE = 0.07  # prior sigma of the relative daily change of all frictions of a joint
-DAILY_CLOCK_S = 4e-3  # prior standard deviation of the change of all delays from log to log [s]
 # Prior sigmas of other coefficients' daily changes, by name: delay [s], gain (a number in the
 # drive) relative, else by the peak torque.
 DAILY_SIGMAS = {"offset": 0.01, "scale": 0.003, "rotor": 0.01, "delay": 5e-4, "gain": 5e-3}
 DAILY_SIGMAS |= {"cold": 0.01, "cold viscous": 0.01}
-DAILY_FRICTION_SIGMA = 0.004  # prior sigma of a friction's daily change, divided by the peak torque
-DAILY_SERVO_SHARE = 0.1  # prior sigma of the daily change of coefficients of position errors, by their prior
-BASE_TORQUE_NOISE = 0.01  # typical sigma of a torque's noise / peak torque, see `log_view`
-BASE_TIME_ERROR_S = 5e-4  # time shift of the motion that gives the typical noise of angles [s]
 
 
 def sliding(view: LogView) -> Array:
@@ -91,7 +83,8 @@ def torque_problem(views: Sequence[LogView]) -> LogProblem:
     """Return the problem of a log, the first of the views, with the reference as its prior."""
     bodies = [view.Y / view.peak_torque[:, None] @ view.arm.spread for view in views]
     every = np.concatenate([b[::4].reshape(-1, b.shape[2]) for b in bodies])
-    turn = np.linalg.svd(np.linalg.qr(every)[1])[2][:MAX_BODY_PARAMETERS].T
+    # Thirty combinations of the bodies' parameters: those that logs determine best.
+    turn = np.linalg.svd(np.linalg.qr(every)[1])[2][:30].T
     problem = _problem(views[0], bodies[0] @ turn)
     if len(views) < 2:
         return problem
@@ -120,11 +113,13 @@ def _problem(view: LogView, bodies: Array) -> LogProblem:
             sigmas += [sigma for _, sigma in columns.values()]
             J = np.stack([values for values, _ in columns.values()], axis=1)
             used = slides[:, j] if torque else np.ones(len(m.q), dtype=bool)
-            sigma = BASE_TORQUE_NOISE
+            # Typical sigma of a torque's noise / peak torque, see `log_view`.
+            sigma = 0.01
             if torque:
                 J, own = np.hstack([bodies[:, j], J]), np.concatenate([np.arange(bodies.shape[2]), own])
             else:
-                sigma = float(np.hypot(m.quantum[j] / 3.5, BASE_TIME_ERROR_S * np.sqrt((m.v[:, j] ** 2).mean())))
+                # Time shift of the motion that gives the typical noise of angles [s].
+                sigma = float(np.hypot(m.quantum[j] / 3.5, 5e-4 * np.sqrt((m.v[:, j] ** 2).mean())))
             residual = view.torque if torque else view.response
             assert residual is not None
             rows.append(Rows(kind, j, used, residual[used, j], J[used], own, sigma, fold[used], 1 / m.step))
@@ -147,14 +142,16 @@ def _daily(problem: LogProblem, x: Array) -> Array:
         friction = [
             v if (k, i) == ("torque", j) and name in grouped else 0.0 for v, (k, i, name) in zip(x, names, strict=True)
         ]
-        out += together(friction, DAILY_JOINT_SHARE)
+        # Prior sigma of the relative daily change of all frictions of a joint.
+        out += together(friction, 0.07)
         for group in FRICTION_GROUPS:
-            out += together(
-                [f if name in group else 0.0 for f, (*_, name) in zip(friction, names, strict=True)], DAILY_GROUP_SHARE
-            )
-    out += together([float((kind, name) == ("position", "delay")) for kind, _, name in names], DAILY_CLOCK_S)
+            # Prior sigma of the relative daily change of a joint's group of frictions.
+            out += together([f if name in group else 0.0 for f, (*_, name) in zip(friction, names, strict=True)], 0.13)
+    # Prior standard deviation of the change of all delays from log to log [s].
+    out += together([float((kind, name) == ("position", "delay")) for kind, _, name in names], 4e-3)
     sigmas = []
     for (kind, joint, name), usual in zip(names, np.sqrt(np.diag(problem.covariance)), strict=True):
-        own = DAILY_SIGMAS.get(name, DAILY_FRICTION_SIGMA if kind == "torque" else DAILY_SERVO_SHARE * usual)
+        # Of a friction it is by the peak torque, of coefficients of position errors by their prior.
+        own = DAILY_SIGMAS.get(name, 0.004 if kind == "torque" else 0.1 * usual)
         sigmas.append(min(own, usual) if joint else 1e-3)
     return np.asarray(out + np.diag(np.square(sigmas)))

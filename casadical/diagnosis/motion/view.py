@@ -18,11 +18,6 @@ from casadical.effects.motion import motion_columns
 
 # Mass of an undeclared payload that counts as one unit, divided by the arm's mass.
 UNDECLARED_PAYLOAD_SHARE = 0.05
-# Distance of an undeclared payload's centre of mass from the flange that counts as one unit [m].
-PAYLOAD_LEVER_M = 0.1
-# Fraction of the largest torque or speed in a log above which `at_limit`, `at_speed_limit` are set.
-LIMIT_SHARE = 0.97
-AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a reached limit decays
 # Signals of a cause at the samples, by what they act on ("torque" or "position") and joint.
 Signals = dict[tuple[str, int], Array]
 
@@ -175,11 +170,15 @@ def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Ar
         variables |= {"command_speed": m.command_v, "command_acceleration": m.command_a}
     kg = UNDECLARED_PAYLOAD_SHARE * float(arm.inertial[::10].sum())
     for k, name in enumerate(("mass", "mass_x", "mass_y", "mass_z")):
-        variables[name] = kg * (PAYLOAD_LEVER_M if k else 1.0) * Y[:, :, 10 * arm.joints - 10 + k] / peak_torque
+        # A distance of 0.1 m of an undeclared payload's mass centre from the flange is one unit.
+        variables[name] = kg * (0.1 if k else 1.0) * Y[:, :, 10 * arm.joints - 10 + k] / peak_torque
     for name, of in (("limit", m.torque), ("speed_limit", m.v)):
         if of is not None:
-            at = np.sign(of) * (np.abs(of) > LIMIT_SHARE * np.abs(of).max(axis=0))
-            variables |= {f"at_{name}": at, f"after_{name}": m.by_run(lambda u: lagged(u, AFTER_LIMIT_S, m.step), at)}
+            # Fraction of the largest torque or speed in a log above which `at_limit`,
+            # `at_speed_limit` are set.
+            at = np.sign(of) * (np.abs(of) > 0.97 * np.abs(of).max(axis=0))
+            # Time constant [s] with which the effect of a reached limit decays.
+            variables |= {f"at_{name}": at, f"after_{name}": m.by_run(lambda u: lagged(u, 0.15, m.step), at)}
     return variables
 
 
