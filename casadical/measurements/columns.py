@@ -412,8 +412,7 @@ class Columns:
             wanted = " or ".join(f"{stem}{u}" for u in units)
             if blank := [name for name in self.empty if name in {f"{stem}{u}" for u in units}]:
                 raise FaultsError([self._empty(blank[0])])
-            remedy = "name it so, or map it by `columns` of a problem folder"
-            raise InputError(f"{self.source}: column {wanted} is missing; there are {self.names}; {remedy}")
+            raise InputError(f"{self.source}: column {wanted} is missing; there are {self.names}; name it so")
         to_si = {"_mm": 1e-3, "_m": 1.0, "_deg": np.pi / 180, "_rad": 1.0}
         return self.column(stem + present[0]) * to_si[present[0]]
 

@@ -142,17 +142,15 @@ def understand(
     ours = {*raw.header, *assigned}
     own = {int(m[1]) for h in ours if (m := re.fullmatch(r"q(\d+)_(deg|rad|mm|m)", h))}
     headings = headings_of(raw, chain)
-    units: dict[str, str] = {}
+    stated: dict[str, str] = {}
     # A comment or title that states the units of the table.
     unit_line = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
     for line in [*raw.comments, *(text for _, text in raw.form.skipped)]:
         match = unit_line.search(unicodedata.normalize("NFKC", line))
         for word in re.findall(r"[^\s,;:/()\[\]]+", match[1].casefold()) if match else ():
-            if word in UNITS:
-                quantity = {"mm": "length", "m": "length", "deg": "angle", "rad": "angle"}.get(UNITS[word][0])
-                if quantity:
-                    units.setdefault(quantity, word)
-    stated = units
+            unit = UNITS.get(word, ("", 1.0))[0]
+            if quantity := {"mm": "length", "m": "length", "deg": "angle", "rad": "angle"}.get(unit):
+                stated.setdefault(quantity, word)
     # A table without headings of just the readings and a position, perhaps with a matrix, needs no
     # robot to be understood.
     layout = "" if raw.form.header_line else "layout"

@@ -164,22 +164,20 @@ def test_a_corrected_program_keeps_all_but_its_targets(files, exported, tmp_path
 def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, monkeypatch, capfd):
     job = program(tmp_path / "job.csv", poses(planted("hh800"), 50), "rad")
     assert run(monkeypatch, "correct", exported, job, "--out", tmp_path / "a.csv") == 0
-    model = (
-        "correct",
-        files / "hh800.toml",
-        "--nominal",
-        nominal_path("hh800"),
-        job,
-        "--out",
-        tmp_path / "b.csv",
-        "--details",
-    )
-    assert run(monkeypatch, *model) == 0
+    model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"))
+    given = (*model, job, "--out", tmp_path / "b.csv", "--details")
+    assert run(monkeypatch, *given) == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     assert "the real tool off the nominal one, by the model" in " ".join(capfd.readouterr().out.split())
-    assert run(monkeypatch, *model) == 2
+    assert run(monkeypatch, *given) == 2
     assert "is there already" in capfd.readouterr().err
-    assert run(monkeypatch, *model, "--overwrite") == 0
+    head, *rows = job.read_text().splitlines(keepends=True)
+    for heading in ("Joint {} [rad]", "J{} (rad)", "Target axis {} in rad"):
+        head = "name," + ",".join(map(heading.format, range(1, 7))) + ",speed,remark"
+        job.write_text("".join([head + "\n", *rows]))
+        assert run(monkeypatch, *model, job, "--out", tmp_path / "b.csv", "--overwrite") == 0
+        ours, theirs = ((tmp_path / name).read_text().splitlines() for name in ("a.csv", "b.csv"))
+        assert theirs == [head + ",correction_status", *ours[1:]]
 
 
 HEAD = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
@@ -188,7 +186,9 @@ BAD = {
     "missing joint": ("q1_deg,q2_deg\n1,2\n", ["q3_deg or q3_rad is missing"]),
     "joint twice": (f"{HEAD},q1_rad\n1,90,180,0,0,0,0\n", ["columns q1_deg and q1_rad say the same"]),
     "seventh joint": (f"{HEAD},q7_deg\n1,90,180,0,0,0,0\n", ["'q7_deg': this robot has only 6 joints"]),
-    "wrong unit": ("q1_mm\n1\n", ["q1_deg or q1_rad is missing; there are q1_mm"]),
+    "wrong unit": ("q1_mm\n1\n", ["q1_deg or q1_rad is missing; there are q1_mm; name it so"]),
+    "no angle or unit": ("J1 speed [deg],J1 [mrad],J1\ndeg,,deg\n1,90,2\n", ["q1_deg or q1_rad is missing"]),
+    "two headings": ("J1 [deg],Actual J1 [deg]\n1,90\n", ["'J1 [deg]', 'Actual J1 [deg]' say the same"]),
     "corrected before": (f"{HEAD},correction_status\n1,90,180,0,0,0,OK\n", ["corrected before"]),
     "semicolons": (HEAD.replace(",", ";") + "\n1;90;180;0;0;0\n", ["separated by ';'"]),
 }

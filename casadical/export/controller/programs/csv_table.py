@@ -1,17 +1,20 @@
-"""Program language of CSV tables of joint targets: columns q1_deg .. change, other cells stay.
+"""Program language of CSV tables of joint targets: columns of joints change, other cells stay.
 
 A reader of its own knows encodings and separators; the text of the file is not used.
 """
 
+import re
 from collections.abc import Sequence
-from typing import Any, NoReturn
+from typing import Any
 
-from casadical.core.basics import M_PER_MM, Array, InputError
+from casadical.core.basics import M_PER_MM, InputError
 from casadical.core.files import csv_text
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import RAD_PER_DEG, Given, Number, Target
 from casadical.measurements.columns import Columns
+from casadical.measurements.headings import headings_of, words_of
 from casadical.measurements.raw_table import RawTable, read_table
+from casadical.measurements.vocabulary import UNITS, WORDS
 
 # Name of the column that is added to a corrected table.
 STATUS_COLUMN = "correction_status"
@@ -36,19 +39,26 @@ class CsvTable(ProgramLanguage):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Return the joint targets of a table, one per row, in its order.
 
-        Raises InputError: the table has columns of more joints, or lacks one.
+        Raises InputError: the table has columns of more joints, lacks one, or has two for one.
         """
         table = _table(source)
-        header = table.header
-        if extra := [name for name in header if name.startswith(f"q{joints + 1}_")]:
-            raise InputError(f"{source}: column {extra[0]!r}: this robot has only {joints} joints")
-        columns, places = Columns.of_file(table), []
-        decimals = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # some nanometres at the tool
-        for i, unit in enumerate(given.units or ("rad",) * joints, 1):
-            allowed = {"_deg": RAD_PER_DEG, "_rad": 1.0} if unit == "rad" else {"_mm": M_PER_MM, "_m": 1.0}
-            columns.si(f"q{i}", tuple(allowed))
-            suffix = next(u for u in allowed if f"q{i}{u}" in header)
-            places.append((header.index(f"q{i}{suffix}"), allowed[suffix], decimals[suffix]))
+        found: dict[str, str] = {}
+        # Other headings are read only where none is ours, and only with their unit, which stays.
+        ours = any(re.match(r"q\d+_", name) for name in table.header)
+        for h in () if ours else headings_of(table, ()):
+            unit, factor = UNITS.get(words_of(h.name)[1], ("", 0.0))
+            is_target = h.quantity == "joint" and h.rest <= WORDS["joint"] and factor == 1.0
+            if is_target and found.setdefault(name := f"q{h.slot}_{unit}", h.name) != h.name:
+                raise InputError(f"{source}: columns {found[name]!r}, {h.name!r} say the same; keep one")
+        columns, units = Columns.of_file(table).mapped(found), given.units or ("rad",) * joints
+        columns.joints(["revolute" if unit == "rad" else "prismatic" for unit in units])
+        # Factor to SI of each unit, and decimals, which are some nanometres at the tool.
+        forms = {"deg": (RAD_PER_DEG, 7), "rad": (1.0, 9), "mm": (M_PER_MM, 6), "m": (1.0, 9)}
+        places: list[tuple[int, float, int]] = []
+        for i, unit in enumerate(units, 1):
+            allowed = ("deg", "rad") if unit == "rad" else ("mm", "m")
+            name, u = next((name, u) for u in allowed if (name := f"q{i}_{u}") in columns.table)
+            places.append((table.header.index(found.get(name, name)), *forms[u]))
         return [
             Target(line, "", True, tuple(Number(k, at, cells[at], unit, digits) for at, unit, digits in places))
             for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True))
@@ -66,14 +76,6 @@ class CsvTable(ProgramLanguage):
                 cells[number.stop] = new
             rows.append([*cells, r.status])
         return csv_text(rows).encode()
-
-    def matrix(self, values: Array) -> NoReturn:
-        """Refuse numbers of a pose. Raises InputError, as a table holds none."""
-        raise InputError(f"a CSV holds {self.pose}")
-
-    def values(self, T: Array, like: Array) -> NoReturn:
-        """Refuse a pose. Raises InputError, as a table holds none."""
-        raise InputError(f"a CSV holds {self.pose}")
 
 
 def _table(path: str) -> RawTable:

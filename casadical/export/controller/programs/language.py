@@ -67,14 +67,13 @@ class ProgramLanguage(ABC):
         Raises InputError that names the line where the program cannot be corrected.
         """
 
-    @abstractmethod
     def matrix(self, values: Array) -> Array:
         """Return the transform, shape (4, 4) [m], of a pose's numbers, shape (k,) [SI].
 
         Raises InputError: the numbers are no pose, or targets of the language are joints alone.
         """
+        raise InputError(f"a {self.name} holds {self.pose}")
 
-    @abstractmethod
     def values(self, T: Array, like: Array) -> Array:
         """Return the numbers of a pose, shape (k,) [SI]; of equivalent ones the nearest to `like`.
 
@@ -82,6 +81,7 @@ class ProgramLanguage(ABC):
         like : numbers of another pose, shape (k,) [SI]
         Raises InputError: targets of the language are joints alone.
         """
+        raise InputError(f"a {self.name} holds {self.pose}")
 
     def turns(self, q: Array) -> tuple[int, ...]:
         """Return the turns of joints as the language states them; () if it states none.
