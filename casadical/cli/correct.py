@@ -37,9 +37,9 @@ def correct(
     program: Path = Argument(
         ...,
         metavar="PROGRAM",
-        help="A CSV with joint targets q1_deg .. (or q1_rad .., Joint 1 [deg] ..; q1_mm or q1_m of a "
-        "linear joint), or a program of KUKA (.src, .dat), ABB (.mod), Universal Robots (.script) "
-        "or FANUC (.ls).",
+        help="A CSV with joint targets q1_deg .. (or q1_rad .., Joint 1 [deg] ..; q1_mm or q1_m of "
+        "a linear joint), or a program of KUKA (.src, .dat), ABB (.mod), Universal Robots "
+        "(.script) or FANUC (.ls).",
     ),
     out: Path = Option(..., metavar="FILE", help="Where the corrected program goes."),
     nominal: o.Nominal = None,

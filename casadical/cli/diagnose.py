@@ -140,8 +140,7 @@ def diagnose(
         save(with_json(texts, json_file, figures), console)
         robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
         if robot:
-            command = ("export", "model", robot, "--out", "arm.xml")
-            suggest(console, "to have it as a model that moves", *command)
+            suggest(console, "to have a moving model", "export", "model", robot, "--out", "arm.xml")
         elif out is None and found.verdict not in ("ambiguous", "unknown"):
             suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
         return

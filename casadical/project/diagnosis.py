@@ -192,6 +192,9 @@ class CampaignDiagnosis(Result):
             return next_step("to keep what was found", *typed, *out, "--unlisted")
         if unknown and not d.account.anchored:
             return next_step("with ten of these poses measured again, in the same table", *typed)
+        if robot and d.verdict == "none":
+            given = ("c", robot, "--nominal", self.campaign.folder, "--out", "c")
+            return next_step("to have the correction of joint commands", "export", *given)
         if robot:
             return next_step("when it was measured again", "compare", robot, "LATER.csv")
         if any(cause.effects for cause in d.causes):

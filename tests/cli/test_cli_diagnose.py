@@ -111,26 +111,26 @@ def test_out_is_whole_or_not_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "verdict", "given"),
     [
-        (" --out diagnosed --unlisted", "unknown", {"shrink": 0.1}),
-        (" --out diagnosed", "unknown", {}),
-        (" --out diagnosed", "ambiguous", {"shrink": 0.1}),
-        ("", "unknown", {"anchored": False, "effects": ("lag",)}),  # with poses measured again
-        (" --out diagnosed --laws", "unknown", {"laws": ("law",), "gain": 0.5}),
-        (" --next next.csv", "unknown", {"gain": 0.5, "shrink": 0.1}),
-        (" arm/poses.csv n.csv --together", "ambiguous", {"gain": 0.5, "planned": "n.csv"}),
-        (" --out diagnosed", "explained", {"gain": 0.5, "anchored": False, "effects": ("lag",)}),
+        ("diagnose arm --out diagnosed --unlisted", "unknown", {"shrink": 0.1}),
+        ("diagnose arm --out diagnosed", "unknown", {}),
+        ("diagnose arm --out diagnosed", "ambiguous", {"shrink": 0.1}),
+        ("diagnose arm", "unknown", {"anchored": False, "effects": ("lag",)}),  # with repeats
+        ("diagnose arm --out diagnosed --laws", "unknown", {"laws": ("law",), "gain": 0.5}),
+        ("diagnose arm --next next.csv", "unknown", {"gain": 0.5, "shrink": 0.1}),
+        ("diagnose arm arm/poses.csv n.csv --together", "ambiguous", {"gain": 0.5, "planned": "n.csv"}),
+        ("diagnose arm --out diagnosed", "explained", {"gain": 0.5, "anchored": False, "effects": ("lag",)}),
     ],
 )
 def test_the_next_command_is_what_helps(command, verdict, given, monkeypatch) -> None:
-    usual = {"shrink": -0.1, "anchored": True, "laws": (), "gain": 0, "effects": (), "planned": None}
+    usual = {"shrink": -0.1, "anchored": True, "laws": (), "gain": 0, "effects": (), "planned": None, "robot": None}
     v = (N := SimpleNamespace)(**usual | given)
     monkeypatch.setattr("casadical.project.diagnosis.discrimination_probability", lambda *_: (0, v.gain))
     details = N(poses=[1], laws=N(laws=v.laws), unlisted=N(shrink_interval=(v.shrink, 0.5)))
     d = N(verdict=verdict, causes=[N(effects=v.effects)], account=N(anchored=v.anchored))
     d.rankings, d.case = [N(order=(), probability={})], N(candidates=())
     found = N(diagnosis=d, details=details, campaign=N(folder="arm", tables=["arm/poses.csv"]))
-    said = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], planned=v.planned)
-    assert said.code == f"casadical diagnose arm{command}"
+    said = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], v.robot, v.planned)
+    assert said.code == f"casadical {command}"
 
 
 @pytest.fixture
