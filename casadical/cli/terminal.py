@@ -130,8 +130,9 @@ def tell(console: Console, *blocks: Block) -> None:
 
 
 def print_result(console: Console, blocks: Sequence[Block], details: bool) -> None:
-    """Print the blocks of a result: all with --details, else those that fit (see `shortened`)."""
-    shown = [*blocks] if details else shortened(blocks)
+    """Print a result: all blocks with --details, else those that fit and the last command."""
+    n = len(blocks) - bool(getattr(blocks[-1], "code", ""))
+    shown = [*blocks] if details else [*shortened(blocks[:n]), *blocks[n:]]
     tell(console, *shown)
     if len(shown) < len(blocks):
         console.print("all figures and sentences: --details", style="dim")

@@ -216,8 +216,7 @@ class Comparison(Result):
 
     def blocks(self) -> list[Block]:
         """Return the report as blocks of text and tables."""
-        # Text for a size that is not detectable (see
-        # `casadical.fleet.comparison._detectable_sizes`).
+        # Text for a size that is not detectable (see `comparison._detectable_sizes`).
         rows = [
             (name, f"{v:.2g} {unit}" if np.isfinite(v) else "not below 30 times its usual size")
             for name, v, unit in self.seen_from

@@ -198,8 +198,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     wide = with_joint_harmonics(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in knowledge.std_errors]
     doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
-    # Number of random poses that replace the measured ones of a robot file, which does not store
-    # them.
+    # Number of random poses in place of the measured ones, which a robot file does not store.
     drawn_poses = 200
     turns = np.arange(drawn_poses) % (1 + len(wide.targets))  # each pose measures one of the targets
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}

@@ -18,7 +18,7 @@ from casadical import InputError, Robot, calibrate, identify, plot, read_robot, 
 from casadical.cli import app
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.marginals import marginals_of
-from casadical.core.reporting.blocks import Words
+from casadical.core.reporting.blocks import Words, next_step
 from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, name_of, other_regions
 from casadical.fleet.changes import MEANINGS, Change, _per, in_words, times_in_words
@@ -168,7 +168,8 @@ def test_a_joint_that_repeats_badly_is_seen_in_all_campaigns(arm: tuple[Robot, R
 def test_where_nothing_changed_nothing_is_named(arm: tuple[Robot, Robot], before: Estimate, seed: int) -> None:
     found = compare([before, after(arm, seed)])
     assert not found.changed
-    assert "NOTHING CHANGED" in plain_text(found.blocks())
+    text = plain_text(found.blocks())
+    assert ("NOTHING CHANGED" in text, "smaller changes" in text) == (True, False)
     assert dict(found.placements)["base"].endswith("the instrument stands elsewhere, or the robot's foot moved")
 
 
@@ -236,12 +237,8 @@ def test_a_moved_foot_is_a_change_in_one_frame(arm: tuple[Robot, Robot]) -> None
 def test_robot_files_of_calibrate_are_compared(arm, tmp_path, monkeypatch):
     """The file has the covariance; of two files the change is named as from the measurements themselves."""
     robot, built = arm
-    assert (
-        calibrate(ROOT / "problems/ur10e")
-        .files(tmp_path / "out")[tmp_path / "out" / "SKCM.robot.toml"]
-        .count("[[covariance]]")
-        == 1
-    )
+    files = calibrate(ROOT / "problems/ur10e").files(tmp_path / "out")
+    assert files[tmp_path / "out" / "SKCM.robot.toml"].count("[[covariance]]") == 1
     for name, truth in (("2026-01", built), ("2026-02", changed(built, theta2=5e-4))):
         result = identify(robot, measured(truth, 10 + len(name) + int(name[-1])))
         (tmp_path / name).mkdir()
@@ -259,6 +256,7 @@ def test_robot_files_of_calibrate_are_compared(arm, tmp_path, monkeypatch):
     assert change["probability"] > 0.95
     same = run("compare", old, old, "--quiet")
     assert (same.returncode, same.stdout) == (0, "")
+    assert "(--robot) smaller changes are seen" in " ".join(run("compare", old, old).stdout.split())
 
 
 def test_a_robot_file_without_covariance_is_refused() -> None:
@@ -484,12 +482,12 @@ def test_of_another_robot_parameters_count_that_differ_by_three_standard_errors(
 
 @pytest.mark.parametrize(("changed", "unexplained", "code"), [(0, 0, 0), (1, 0, 5), (0, 1, 5), (1, 1, 5)])
 def test_a_change_or_what_is_unexplained_ends_a_comparison_in_5(changed, unexplained, code, monkeypatch) -> None:
-    found = SimpleNamespace(
-        changed=bool(changed), unexplained=bool(unexplained), blocks=lambda: [Words("told")], next=()
-    )
-    found.to_json = dict
+    blocks = [*[Words("told")] * 20, next_step("to act", "calibrate", "arm")]
+    found = SimpleNamespace(changed=bool(changed), unexplained=bool(unexplained), next=())
+    found.to_json, found.blocks = dict, lambda: blocks
     monkeypatch.setattr("casadical.fleet.campaigns.compare_files", lambda *_, **__: found)
-    assert CliRunner().invoke(app, ["compare", "problems/planar", "problems/planar"]).exit_code == code
+    done = CliRunner().invoke(app, ["compare", "problems/planar", "problems/planar"])
+    assert (done.exit_code, "casadical calibrate arm" in done.output) == (code, True)
 
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:
