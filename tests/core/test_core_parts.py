@@ -40,6 +40,7 @@ def test_instructions_with_values_of_any_kind_are_the_function() -> None:
     words = {"mul": "({} * {})".format, "assign": str}
     values = read.evaluate([["a", "b"], ["c"]], words.__getitem__, str, call=lambda args: [f"sin {v}" for v in args])
     assert values == [["sin a", "sin b", "3.5"], ["(b * c)"]]
+    assert {value for name, *_, value in read.instructions if name != "const"} == {0.0}
     with pytest.raises(NotImplementedError, match="f: CasADi operation call has no numpy counterpart"):
         read.on_arrays([1.0, 2.0], [3.0])
 

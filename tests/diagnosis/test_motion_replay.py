@@ -154,6 +154,8 @@ def test_a_stop_is_named_with_its_angle_and_replayed(arm, unsigned):
     found = replayed(arm, logs[:1], logs[1:])
     assert found.after[1] < 0.01
     assert found.effects.without["stops"][1] > 0.05
+    friction = next(block for block in found.blocks() if isinstance(block, Figure) and block.name == "replay/friction")
+    assert max(len(s.x) for s in friction.series if s.name != "found") > 10  # speeds
 
 
 def test_droop_stiction_and_lag_are_no_stop(arm):

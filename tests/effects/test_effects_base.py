@@ -17,7 +17,7 @@ CLASSES = [kind for kind in effects_by_name().values() if kind.on_list != "unkno
 def test_every_candidate_has_sizes_also_of_effects_on_no_list() -> None:
     for kind in effects_by_name().values():
         for effect in kind.candidates(robot("hh800")):
-            assert all(size > 0 for size, _ in effect.sizes().values()), effect.label
+            assert all(0 < size <= 0.3 for size, _ in effect.sizes().values()), effect.label  # in SI units
 
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)

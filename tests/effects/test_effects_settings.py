@@ -25,8 +25,8 @@ from casadical.effects import (
 )
 from casadical.effects.base import RIGID_STIFFNESS, Counterparts, Drive
 from casadical.effects.plugins import effects_by_name
-from casadical.effects.registry import FrameSettling
-from casadical.effects.smooth import AnyOfLoad, AnyOfOtherAngle
+from casadical.effects.registry import BacklashByLoad, FrameSettling, HoseDrag
+from casadical.effects.smooth import AnyOfLoad, AnyOfOtherAngle, SmoothInJoints
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
@@ -58,6 +58,7 @@ def test_settings_that_a_file_does_not_give(name: str) -> None:
 
 def test_a_frame_settles_within_a_fiftieth_to_a_third_of_the_campaign() -> None:
     assert [e.settles for e in FrameSettling.candidates(robot("ur10e"))] == [0.02, 0.05, 0.12, 0.3]
+    assert float(FrameSettling().course(SimpleNamespace(conditions={"progress": 0.0}))) == 0
 
 
 @pytest.mark.parametrize(
@@ -91,11 +92,11 @@ def test_an_axis_without_a_spring_stays_rigid_beside_those_that_have_one() -> No
 
 
 def test_springs_of_links_are_of_the_joints_at_their_ends_and_none_where_nothing_weighs() -> None:
-    torques = np.array([900.0, 800.0, 50.0, 20.0])
+    torques = np.array([900.0, 800.0, 0.05, 0.02])
     gantry = Counterparts((Drive(),) * 4, torques, np.full(4, 0.5), (3, 4))  # two slides before two turning joints
     sizes = {"rx": 1e-4, "ry": 1e-4, "rz": 1e-4}
     stiffness = [gantry.with_springs("link_flexure", sizes, k).flexures[k][0][0] for k in (1, 2, 3)]
-    assert stiffness == pytest.approx([9e6, 5e5, 5e5])
+    assert stiffness == pytest.approx([9e6, 500.0, 500.0])
     light = replace(gantry, torque_scale=np.full(4, 5e-11))
     assert [o.why for o in light.with_springs("base_compliance", {"rx": 1e-4, "ry": 1e-4}, 0).left_out] == [
         "no weight loads it"
@@ -137,6 +138,7 @@ def test_settings_of_a_backlash_that_are_not_given_are_among_those_that_are_trie
     for name in ("friction", "width"):
         low, high = (pick(getattr(effect, name) for effect in tried) for pick in (min, max))
         assert low < getattr(Backlash(2), name) < high
+    assert {e.width for e in BacklashByLoad.candidates(robot("ur10e"))} == {0.003, 0.01, 0.03, 0.1, 0.3}
 
 
 def test_two_joints_are_tried_each_alone_and_both_with_equal_settings() -> None:
@@ -150,7 +152,7 @@ def test_two_joints_are_tried_each_alone_and_both_with_equal_settings() -> None:
 
 def test_a_joint_that_stood_at_too_few_angles_has_no_curve() -> None:
     curve = JointErrorCurve(orders=9, spread=(1e-4, 1e-4, 1e-4))
-    assert curve.for_poses(300, (18, 19, 150)).spread == (0.0, 1e-4, 1e-4)  # 19 angles determine nine orders
+    assert curve.for_poses(300, (18, 19, 140)).spread == (0.0, 1e-4, 1e-4)  # 19 angles determine nine orders
     assert curve.for_poses(36, (18, 19, 36)).spread == curve.spread
 
 
@@ -193,6 +195,8 @@ def test_any_function_of_another_angle_is_that_angles() -> None:
     expected = predicted(arm, replace(poses, q=q))[0]
     whole = np.abs(expected - predicted(arm, poses)[0]).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.01 * whole)
+    first = SmoothInJoints(None, 6, 3, 5).terms(SimpleNamespace(q=np.arange(6.0)))[0]
+    assert first == ("ss", 1.0, np.sin(2) * np.sin(4))
 
 
 NAME = "ur10e"
@@ -209,6 +213,13 @@ def shift(effect: Effect, values: dict[str, float], poses: Measurements, name: s
 def test_an_offset_of_the_reflector_has_its_length(part: str) -> None:
     off = shift(SmrOffset(None, (4.0, -2.0, 1.0)), {part: 1e-5}, campaign(NAME)[:20])
     np.testing.assert_allclose(np.linalg.norm(off, axis=1), 1e-5, rtol=1e-9)
+
+
+def test_a_hose_without_a_declared_load_ends_at_the_last_frame() -> None:
+    loads = (None, Body(1e-9, np.zeros(3)))
+    arms = (replace(robot(NAME), payload=load).with_effect(HoseDrag(None)) for load in loads)
+    bare, loaded = (predicted(arm.with_values({"hose_drag.tension": 0.1}), campaign(NAME)[:5])[0] for arm in arms)
+    np.testing.assert_allclose(bare, loaded, rtol=0, atol=1e-12)
 
 
 def test_known_ratio_is_not_refined_away() -> None:

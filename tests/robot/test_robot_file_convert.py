@@ -9,6 +9,7 @@ from numeric_arm import shift, turn
 from scipy.spatial.transform import Rotation
 
 from casadical import Body, FourBar, Joint, Placement, Robot
+from casadical.core.drive import Drive
 from casadical.core.parts import WIDTHS, Width
 from casadical.robot.robot_file import read_robot, robot_from, write_robot
 
@@ -143,6 +144,8 @@ def test_units_go_by_the_key() -> None:
     assert joint(limits_deg=[-90, 180]).upper == pytest.approx(np.pi)
     rail = joint(type="prismatic", limits_mm=[0, 2500], stiffness_N_per_m=2e6)
     assert (rail.lower, rail.upper, rail.compliance) == (0, 2.5, 1 / 2e6)
+    linear = Drive(kp_N_per_m=2.0, damping_Ns_per_m=3.0, friction_N=4.0, rotor_inertia_kg=5.0, speed_limit_mm_s=6.0)
+    assert (linear.kp, linear.damping, linear.friction, linear.rotor_inertia, linear.speed_limit) == (2, 3, 4, 5, 0.006)
     assert (
         joint(body={"mass_kg": 2, "com_m": [0, 0, 1]}).body.com[2]
         == joint(body={"mass_kg": 2, "com_mm": [0, 0, 1000]}).body.com[2]

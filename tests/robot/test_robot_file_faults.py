@@ -41,6 +41,7 @@ def loop(driven: int, carrier: int, crank: float) -> tuple[str, str]:
 # What is changed or added, and what the message must then hold besides the file's name.
 FAULTS = {
     "text for a number": (row2('a_mm = "300"'), ["joint[2].a_mm = '300'", "must be a valid number"]),
+    "larger than any number": (row2("a_mm = 1e300"), ["joint[2].a_mm = 1e+300", "finite numbers up to 1e+100"]),
     "longer than any arm": (row2("a_mm = 1e12"), ["joint[2].a_mm = 1000000000000", "allowed: at most 1e+07"]),
     "twists in radians under a name of degrees": (
         ("d_mm = 100", "alpha_deg = -1.5708\n[[joint]]\nalpha_deg = 3.142\n[[joint]]\nalpha_deg = 0"),

@@ -8,7 +8,7 @@ import pytest
 
 from casadical.cli.terminal import refusal, wrapped
 from casadical.core.reporting import pdf
-from casadical.core.reporting.blocks import Page, Section, Table, Tile, Words, figures_named
+from casadical.core.reporting.blocks import Page, Section, Table, Tile, Words, figures_named, mm
 from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series, ticks_of_decades
 from casadical.core.reporting.page import html_of
 from casadical.core.reporting.result import html, plain_text
@@ -138,6 +138,10 @@ def test_figures_are_chosen_by_name_or_by_the_first_part_of_it() -> None:
 def test_ticks_of_a_logarithmic_axis_are_round() -> None:
     assert ticks_of_decades(0.1, 5) == [0.1, 0.2, 0.5, 1, 2, 5]
     assert ticks_of_decades(0.02, 30, (1,)) == [0.01, 0.1, 1, 10]
+
+
+def test_a_length_has_fewer_decimals_the_larger_it_is() -> None:
+    assert [mm(x) for x in (-5e-5, 1e-4, 0.01, 0.1)] == ["-0.0500", "0.100", "10.00", "100.0"]
     assert re.fullmatch(r"[125]e-\d+|0\.\d+|\d+(e\+\d+)?", f"{ticks_of_decades()[0]:g}")
 
 

@@ -74,6 +74,7 @@ def test_what_is_printed_and_what_the_manifest_holds(files, tmp_path, monkeypatc
         assert part in printed
     assert "cycle 4 ms, rate 0.5 rad/s, ramp 1 s: switched on in 250 calls of the step function" in printed
     assert "Operations of correct, the same in every call: " in printed
+    assert "the compensator was refused" not in printed
     for option, words in (
         (("--cycle", 2000), "a cycle of 2000 ms; allowed: 0.01 to 1000 ms"),
         (("--what", "curves", "--cycle", 2), "--cycle: is for --what command, not for --what curves"),
