@@ -52,6 +52,7 @@ def test_a_frequency_between_the_grids_is_found(cycles: int, start_at: float) ->
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
     _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, start_at),), NOTHING, Noise(2e-5, 0.0))
     assert found.cycles == pytest.approx(cycles, abs=0.1)
+    assert shown_by(start, NOTHING, Noise(2e-5, 0.0), start.form)[0] == ((2, pytest.approx(cycles, abs=0.6)),)
 
 
 def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> None:

@@ -28,6 +28,7 @@ from casadical.diagnosis.motion.engine import (
     LogProblem,
     Rows,
     joint_of,
+    next_cause,
     smooth_functions,
     with_candidates,
 )
@@ -271,6 +272,13 @@ def test_what_is_on_no_list_is_not_named():
     found = diagnosed(1, foreign)
     assert not found.fitting
     assert found.verdict in ("unknown", "ambiguous")
+
+
+@pytest.mark.parametrize(("smooth", "listed"), [(115.0, True), (125.0, False)])
+def test_of_the_evidence_of_a_smooth_function_less_counts(smooth, listed):
+    names = {f"{name}@2": SimpleNamespace(name=name, listed=name == "lag") for name in ("lag", "unknown")}
+    ranking = Posterior.of_variants({("lag@2", 0): 100.0, ("unknown@2", 0): smooth}, dict.fromkeys(names, 0.1), 0.8)
+    assert next_cause(SimpleNamespace(by_label=names), ranking).listed is listed
 
 
 def one_way(run, t, q, v, tau):

@@ -66,7 +66,7 @@ def test_what_is_printed_and_what_the_manifest_holds(files, tmp_path, monkeypatc
     for part in (
         "verified: compiled",
         "rest_um_worst",
-        "sha256",
+        "nominal: ",
         "tool: shared",
         "own base frame",
         "absolute-accuracy",
