@@ -168,6 +168,7 @@ def test_a_joint_that_repeats_badly_is_seen_in_all_campaigns(arm: tuple[Robot, R
 def test_where_nothing_changed_nothing_is_named(arm: tuple[Robot, Robot], before: Estimate, seed: int) -> None:
     found = compare([before, after(arm, seed)])
     assert not found.changed
+    assert found.figures()["left"].series[0].y == pytest.approx([1e3 * c.sigma for c in found.campaigns])
     text = plain_text(found.blocks())
     assert ("NOTHING CHANGED" in text, "smaller changes" in text) == (True, False)
     assert dict(found.placements)["base"].endswith("the instrument stands elsewhere, or the robot's foot moved")
@@ -185,6 +186,7 @@ def test_a_change_is_named_with_its_size(arm, before, by, label, parameter, size
     found = compare([before, after(arm, **by)])
     (change,) = found.changes
     assert (change.cause.label, change.named, change.course) == (label, True, "jump")
+    assert sum(rival.probability for rival in change.rivals) == pytest.approx(1)
     amount = next(a for a in change.amounts if a.name == parameter)
     true = 0.5e6 * arm[1].parameters[parameter].value if size is None else size
     assert abs(amount.value - true) < 4 * amount.std_error

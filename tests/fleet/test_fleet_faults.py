@@ -119,9 +119,10 @@ def test_an_address_that_is_none_and_no_worker_are_said() -> None:
 
 
 def test_a_worker_with_another_version_is_said(near: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("casadical.fleet.run.__version__", "0.0.1")
-    with pytest.raises(InputError, match=r"has casadical .*; this is casadical 0\.0\.1: install the same one there"):
-        _connect(near)
+    for version in ("0.0.1", "99.9"):
+        monkeypatch.setattr("casadical.fleet.run.__version__", version)
+        with pytest.raises(InputError, match=f"has casadical .*; this is casadical {version}: install the same one"):
+            _connect(near)
 
 
 @pytest.mark.slow

@@ -216,6 +216,12 @@ def test_the_touches_that_are_told_are_those_of_the_last_day() -> None:
     assert key.of(SimpleNamespace(model=SimpleNamespace(days=[[1, 2, 3], [1, 2]]))) == 2
 
 
+@pytest.mark.parametrize(("dates", "last", "dated"), [((0.0, 365.25), 13 / 12, True), ((0.0, None), 2 / 12, False)])
+def test_the_calibration_was_a_month_before_the_first_day(dates, last, dated) -> None:
+    times, known = TouchModel._times.fget(SimpleNamespace(dates=dates, days=dates))
+    assert (times.tolist(), known) == ([0.0, pytest.approx(1 / 12), pytest.approx(last)], dated)
+
+
 def test_levels_of_noise_weigh_as_the_days_before_say() -> None:
     rng, day = np.random.default_rng(0), np.repeat([1, 2, 3], 4)
     terms = [(0.0, None, rng.normal(size=12) * scale, rng.normal(size=12) - np.log(scale)) for scale in (1.0, 1.5)]

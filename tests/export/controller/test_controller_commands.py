@@ -4,6 +4,7 @@ import csv
 import hashlib
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from casadical.export import Sources, command_of, load, model_corrector, write_c
 from casadical.export.c.kernel import compilers
 from casadical.export.controller.commands import _source_name, prefix_of
 from casadical.export.controller.correction import kernel_corrector
-from casadical.export.controller.programs.program import read_target_program
+from casadical.export.controller.programs.program import _moved, read_target_program
 from casadical.export.controller.programs.target import Given
 from casadical.robot.robot_file import read_robot
 
@@ -179,6 +180,11 @@ def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, m
         assert run(monkeypatch, *model, job, "--out", tmp_path / "b.csv", "--overwrite") == 0
         ours, theirs = ((tmp_path / name).read_text().splitlines() for name in ("a.csv", "b.csv"))
         assert theirs == [head + ",correction_status", *ours[1:]]
+
+
+def test_what_a_correction_leaves_is_printed_in_um_and_mdeg() -> None:
+    left, _ = _moved([SimpleNamespace(q=None, moved_mm=1.0, off_mm=(2.0, 3e-3), off_deg=(0.5, 4e-3))], ())
+    assert [float(row[1]) for row in left.rows] == [2.0, 3.0, 500.0, 4.0]
 
 
 HEAD = "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg"
