@@ -168,6 +168,7 @@ def test_a_joint_that_repeats_badly_is_seen_in_all_campaigns(arm: tuple[Robot, R
 def test_where_nothing_changed_nothing_is_named(arm: tuple[Robot, Robot], before: Estimate, seed: int) -> None:
     found = compare([before, after(arm, seed)])
     assert not found.changed
+    assert found.log_odds < 0
     assert found.figures()["left"].series[0].y == pytest.approx([1e3 * c.sigma for c in found.campaigns])
     text = plain_text(found.blocks())
     assert ("NOTHING CHANGED" in text, "smaller changes" in text) == (True, False)

@@ -94,7 +94,7 @@ def test_a_copy_of_a_folder_is_no_robot_also_where_the_first_was_renamed(arms, t
     (plant / "arm1").rename(plant / "eins")
     (plant / "arm1-copy").rename(plant / "zwei")
     found = run_fleet([plant], store, scheduler=near, with_diagnosis=False)
-    assert list(found.robots["robot"]) == ["arm2", "eins"]
+    assert found.robots["robot"].to_dict() == {0: "arm2", 1: "eins"}
     assert sorted(found.notes) == [
         copy.format("a-copy", "arm2"),
         "eins has the files of arm1, whose folder is not there: taken for it, renamed",

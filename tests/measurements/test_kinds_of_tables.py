@@ -88,3 +88,8 @@ def test_a_wrong_distance_does_not_move_the_unknown_anchor(wrong: tuple[int, ...
     errors = kinds()["distance"].errors({"distance": distance}, p, lambda q: q)
     assert [*np.flatnonzero(errors > 1e-3)] == [*wrong]
     assert np.delete(errors, wrong).max() < 1e-4
+
+
+def test_the_axis_of_a_gauge_is_that_of_its_readings() -> None:
+    p, axis = np.random.default_rng(5).uniform(-0.6, 0.6, (10, 3)), np.array([0.6, 0.0, 0.8])
+    np.testing.assert_allclose(kinds()["dial"].start({"reading": p @ axis - 0.7}, p), 10.7 * axis, atol=1e-9)

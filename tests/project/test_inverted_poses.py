@@ -178,8 +178,9 @@ def test_stations_of_a_ros_bag_are_the_rests_of_the_joints(tmp_path: Path) -> No
             lists = [np.array(v, dtype=float) for v in (values, [], [])]
             write("/joint_states", t, types["sensor_msgs/msg/JointState"](header(t, ""), names, *lists))
             p = m.position[station] + (0.0 if part <= 10 or station == 13 else 0.3)
+            t += 0.01
             both = [transform(t, "charuco_board", p, turns[station]), transform(t, "forearm", p + 1, turns[0])]
-            write("/tf", t + 0.01, types["tf2_msgs/msg/TFMessage"](both))
+            write("/tf", t, types["tf2_msgs/msg/TFMessage"](both))
     table = stations_of_bag(tmp_path / "bag").frame
     np.testing.assert_allclose(table.iloc[:, :6], m.q, atol=1e-9)
     np.testing.assert_allclose(table[["x_m", "y_m", "z_m"]], m.position, atol=1e-9)

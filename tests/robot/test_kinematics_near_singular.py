@@ -55,6 +55,12 @@ def test_rows_of_nearly_parallel_axes_move_like_their_screws(steps, seed):
     assert all(j.beta is not None for j in rows[1:])
 
 
+def test_the_length_between_skew_axes_is_positive():
+    for side in (0.3, -0.3):
+        _, rows, _, _ = rows_from_axes(np.array([[0, 0, 0], [side, 0, 0.2]]), np.eye(3)[[2, 1]], np.eye(4))
+        assert rows[1].a == 0.3
+
+
 @SAMPLING
 @given(st.lists(off_parallel, min_size=1, max_size=3), st.integers(0, 1000))
 def test_jacobian_of_nearly_parallel_rows_is_bounded_and_exact(twists, seed):

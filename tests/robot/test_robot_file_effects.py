@@ -155,11 +155,13 @@ def test_a_large_covariance_lies_in_a_file_beside_the_robot(tmp_path: Path) -> N
     names = tuple(p.name for p in curve.parameters())
     A = np.random.default_rng(0).normal(size=(len(names), len(names) + 5))
     C = 1e-9 * A @ A.T
-    known = replace(robot("ur10e").with_effect(curve), knowledge=Knowledge((Covariance(names, C),), "one", 9))
+    known = replace(robot("ur10e").with_effect(curve), knowledge=Knowledge((Covariance(names, C),), "", 9, misfit=1.5))
     for reproducible in (False, True):
         write_together(robot_files(tmp_path / "arm.robot.toml", known, reproducible=reproducible))
         assert (tmp_path / "arm.robot.toml").stat().st_size < 40_000
-        (block,) = read_robot(tmp_path / "arm.robot.toml").knowledge.covariance
+        found = read_robot(tmp_path / "arm.robot.toml").knowledge
+        (block,) = found.covariance
+        assert found.misfit == 1.5
         variances = np.einsum("ij,ij->i", A.T @ block.matrix, A.T), np.einsum("ij,ij->i", A.T @ C, A.T)
         np.testing.assert_allclose(*map(np.sqrt, variances), rtol=1e-6)
     companion = tmp_path / "arm.covariance.npz"

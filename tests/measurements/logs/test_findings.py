@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from casadical import InputError, Joint, Robot
-from casadical.measurements.logs.findings import quantum, repeated_rows
+from casadical.measurements.logs.findings import _fastest, quantum, repeated_rows
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import read_log
 
@@ -141,6 +141,11 @@ def test_degrees_called_radians_are_refused(tmp_path) -> None:
         said(tmp_path, TWO, q1_rad=small[:, 0], q2_rad=small[:, 1], command1_rad=None, command2_rad=None)
     with pytest.raises(InputError, match=r"readings of joint 1 are 57.3 times its commands: degrees called"):
         said(tmp_path, q1_rad=small[:, 0], q2_rad=small[:, 1], command1_rad=0.15 * motion(T)[:, 0])
+
+
+def test_the_fastest_speed_is_that_of_a_tenth_of_a_second() -> None:
+    q = np.sin(6 * T)[:, None]
+    assert _fastest(JointLog(T, ("a",), q, q), 0) == pytest.approx(6, rel=0.02)
 
 
 def test_readings_that_were_not_measured_are_refused(tmp_path) -> None:

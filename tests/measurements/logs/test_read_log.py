@@ -232,7 +232,7 @@ def lists(values: np.ndarray, form: str) -> list[str]:
     "columns",
     [
         {"Time": T, "Joint_1": Q[:, 0], "Joint_2": Q[:, 1], "current_1": T, "current_2": -T},
-        {"t [s]": T, "q_1": Q[:, 0], "q_2": Q[:, 1], "i_1": T, "i_2": -T},
+        {"t [s]": T, "timestamp [ms]": 1e9 * T, "q_1": Q[:, 0], "q_2": Q[:, 1], "i_1": T, "i_2": -T},
         {"timestamp": T, "θ1 (rad)": Q[:, 0], "θ2 (rad)": Q[:, 1], "I1 [A]": T, "I2 [A]": -T},
         {"Zeit": T, "Achse 1 [rad]": Q[:, 0], "Achse 2 [rad]": Q[:, 1], "Strom A1": T, "Strom A2": -T},
         {"time": T, "name": "['shoulder', 'elbow']", "position": lists(Q, "{}"), "current": lists(np.c_[T, -T], "{}")},
@@ -251,6 +251,7 @@ def test_headings_as_people_write_them(columns, tmp_path) -> None:
     log = read_log(tmp_path / "log.csv", ARM)
     assert log.position == pytest.approx(Q)
     assert log.current == pytest.approx(np.column_stack([T, -T]))
+    assert log.time - log.time[0] == pytest.approx(T - T[0])
 
 
 URDF = """<robot name="m"><link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="thumb"/>
