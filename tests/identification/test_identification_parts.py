@@ -13,6 +13,7 @@ from casadical.core.basics import InputError
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Law
 from casadical.identification import reduction
+from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import NO_EFFECT_REASON
 from casadical.identification.identification import prepare
 from casadical.identification.least_squares import LeastSquares, Linearised
@@ -168,6 +169,16 @@ def test_a_pose_that_was_not_fitted_is_an_outlier_by_its_turn_alone() -> None:
     kept, out = result.without_outliers(replace(later, orientation=turned))
     assert [row.row for row in out] == [later.row[7]]
     assert kept.row.tolist() == np.delete(later.row, 7).tolist()
+
+
+def test_poses_that_were_not_fitted_are_outliers_by_their_positions() -> None:
+    arm = arms.six_axis()
+    m = arms.positions(arm, arms.readings(arm, 60, 1), 2)
+    result = identify(arm, m[np.arange(40)], ["placement", "a2", "theta2"])
+    later = m[np.arange(40, 60)]
+    for sigmas, count in ((1, 0), (12, 3)):
+        off = predicted(result.robot, later)[0] + sigmas * arms.NOISE * np.eye(20, 3)
+        assert len(result.without_outliers(replace(later, position=off))[1]) == count
 
 
 def test_round_off_takes_no_value_beyond_its_bounds(result) -> None:

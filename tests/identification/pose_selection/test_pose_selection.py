@@ -138,6 +138,8 @@ def test_effects_get_the_circumstances_that_tell_them(robot) -> None:
     assert set(found.m.conditions["payload_kg"]) == {0.0, 10.0}
     assert "backlash@2.half" in found.names
     assert {"approach2", "payload_kg"} <= set(found.table.columns)
+    half = replace(found.m, conditions=found.m.conditions | {"payload_kg": np.full(25, 2.5)})
+    assert set(replace(found, m=half).table["payload_kg"]) == {2.5}
 
 
 @pytest.mark.slow

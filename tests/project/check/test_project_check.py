@@ -162,6 +162,7 @@ def test_one_joint_in_radians_is_named(joint: int, tmp_path: Path) -> None:
     """Joint 6 too, where the nominal model still is within 2 % of its reach."""
     name = f"q{joint}_deg"
     found = precheck(problem_with(tmp_path, lambda t: t.assign(**{name: np.deg2rad(t[name])})))
+    assert f"nominal model is {1e3 * found.slips.before.error:.4g} mm (median)" in said(found, "error")
     assert f"1.69 mm would be left if q{joint} alone holds radians under a name of degrees" in said(found, "error")
     assert f"joint {joint} covers" in said(found, "warning")
     assert "are these radians?" in said(found, "warning")
