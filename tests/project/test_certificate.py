@@ -81,6 +81,9 @@ def test_the_command_writes_two_pages_with_fields_as_text(results, tmp_path, mon
 
 def test_points_of_a_picture_lie_where_they_are_in_one_scale(results, tmp_path):
     found = certificate(results, details(tmp_path), problem=PLANAR)
+    T = read_robot(results / f"{found.method}.robot.toml").base.T
+    measured = np.concatenate([m.position for m in read_problem(PLANAR).sets["report"]])
+    np.testing.assert_allclose(found.places @ T[:3, :3].T + T[:3, 3], measured, atol=1e-9)
     curves = r"^([\d.]+) ([\d.]+) m .* c\n.*\n.*\n.* c f$"
     drawn = np.array(re.findall(curves, drawn_in(found.pdf()), re.MULTILINE), float).reshape(2, -1, 2)
     blocks = [block for page in found.pages() for part in page.sections for block in part.blocks]

@@ -12,7 +12,7 @@ import pytest
 from casadical import InputError, read_problem
 from casadical.project.diagnosis import read_logs
 from casadical.project.problem import error_groups, read_campaign_robot
-from casadical.project.problem_file import CameraErrorsTable, DataTable, LogsTable
+from casadical.project.problem_file import CameraErrorsTable, DataTable, LogsTable, result_in
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "studies"))  # for their scripts as modules
@@ -147,3 +147,10 @@ def test_a_urdf_alone_is_the_robot_of_a_campaign(tmp_path: Path) -> None:
     limit = '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
     (tmp_path / "arm.urdf").write_text(f'<robot name="one">{links}{joint}{limit}</robot>')
     assert read_campaign_robot(tmp_path / "arm.urdf").n == 1
+
+
+@pytest.mark.parametrize("text", ['{"methods": {}}', '{"methods": 3}', "{}"])
+def test_a_folder_of_results_without_a_method_is_none(text: str, tmp_path: Path) -> None:
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(InputError, match=r"no result\.json of a calibration is in it, and 0 robot files"):
+        result_in(tmp_path)
