@@ -17,6 +17,7 @@ from casadical.core.reporting.result import plain_text
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
 from casadical.export.controller.programs.program import corrected_program, read_target_program
+from casadical.export.controller.programs.rapid import Rapid
 from casadical.export.controller.programs.target import Given
 from casadical.robot.robot_file import read_robot
 
@@ -116,3 +117,8 @@ def outside(language, content, new):
     for old, now in zip(old_lines, new_lines, strict=True):
         if not re.search(targets[language], old):
             assert old == now
+
+
+def test_of_two_equal_quaternions_that_of_the_old_sign_is_written() -> None:
+    for sign in (1.0, -1.0):
+        assert Rapid().values(np.eye(4), sign * np.ones(7))[3:].tolist() == [sign, 0, 0, 0]
