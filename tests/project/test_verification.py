@@ -133,7 +133,7 @@ def test_bad_rows_neither_loosen_the_promise_nor_hide(tmp_path, monkeypatch, cap
     assert f"{held[0]} (" in warning.text
     assert main(monkeypatch, "calibrate", arm, "--out", out) == 0
     printed = " ".join(capfd.readouterr().out.split())
-    assert "calls outliers: row " in printed
+    assert "calls outliers (rows numbered as in a spreadsheet): row " in printed
     assert f"row {held[0]} (" in printed
     assert f"row {held[1]} (" in printed
     assert "in no figure" in printed
