@@ -1,6 +1,7 @@
 """Decision thresholds of the diagnosis, each with its unit and the study that set it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,18 @@ class Settings:
     unit_error : error that counts as one in the columns of these smooth errors [rad or m]
     near_threshold_odds_ratio : a probability is just above or below a threshold by at most this
     min_decision_gain : poses are suggested only if the right decision gets so much more probable
+    min_log_evidence : smallest log evidence [nats] with which a cause enters the model of a joint log;
+        a further one that fits, and the first of commands alone, min_further_log_evidence
+    healthy_log_evidence : largest log evidence [nats] of a cause in healthy logs (simulated), 200 of
+        a UR10e with currents and 75 of an SO-101 with torques (docs/studies/joint_logs.py,
+        healthy); of others, but doubtful ones and usual ripple, it was 9. A cause fits from
+        healthy_margin times it
+    min_arm_hint_log_evidence : the same of a hint on the whole arm: 1.5 times the largest in 13
+        healthy logs of an SO-101 with commands alone
+    usual_ripple_share : amplitude of a usual ripple, which is no cause, divided by dry friction
+    smooth_share : part of the evidence of a smooth function that counts, as it fits any shape
+    unlisted_odds : prior odds of a cause on no list to a listed one: 4 to 10 in the sealed round L,
+        odd numbers with currents, by the rule of succession
     max_structure_chance : significance of dependences on drivers, and of outliers on a joint
     max_joint_harmonic : highest harmonic of an angle that is tested [cycles per turn]
     """
@@ -125,6 +138,23 @@ class Settings:
     unit_error: float = 30e-6
     near_threshold_odds_ratio: float = 1.5
     min_decision_gain: float = 0.1
+    min_log_evidence: Mapping[str, float] = field(default_factory=lambda: {"torque": 20.0, "position": 30.0})
+    min_further_log_evidence: float = 60.0
+    healthy_log_evidence: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "viscous_friction": 93.0,
+            "spring": 48.0,
+            "lag": 35.0,
+            "zero_offset_step": 30.0,
+            "warm_up": 29.0,
+            **dict.fromkeys(("transport_delay", "contact"), 22.0),
+        }
+    )
+    healthy_margin: float = 1.5
+    min_arm_hint_log_evidence: float = 156.0
+    usual_ripple_share: float = 0.07
+    smooth_share: float = 1 / 1.2
+    unlisted_odds: float = 5 / 11
     max_structure_chance: float = 1e-3
     max_joint_harmonic: int = 3
 

@@ -26,42 +26,15 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS
 from casadical.diagnosis.motion.view import LogView, Signals
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, prior_weights
+from casadical.diagnosis.settings import SETTINGS
 
 # Samples of torques and positions that count as independent in a second, as noise is correlated.
 INDEPENDENT_SAMPLES_PER_S = {"torque": 8.0, "position": 3.0}
 NOISE_FREEDOM = 20.0  # degrees of freedom of the prior of a joint's noise variance
 MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
-MAX_CAUSES = 3  # largest number of causes that are searched for
-# Smallest log evidence [nats] with which a cause enters the model, with torques and of commands alone.
-MIN_EVIDENCE = {"torque": 20.0, "position": 30.0}
 # Causes that never count as fitting: on logs on which the rule was learnt they stood for errors of
 # the base.
 DOUBTFUL_CAUSES = frozenset(["play", "link_mass"])
-# Largest log evidence [nats] of a cause in healthy logs (simulated), 200 of a UR10e with currents and
-# 75 of an SO-101 with torques; of other causes, but for doubtful ones and usual ripple, it was at most
-# 9 (docs/studies/joint_logs.py, healthy). Of the SO-101 it exceeds that of the UR10e for a step of
-# the zero alone, as its torques drift more. A cause fits from `HEALTHY_MARGIN` times it.
-HEALTHY_EVIDENCE = {
-    "viscous_friction": 93.0,
-    "spring": 48.0,
-    "lag": 35.0,
-    "zero_offset_step": 30.0,
-    "warm_up": 29.0,
-    "transport_delay": 22.0,
-    "contact": 22.0,
-}
-HEALTHY_MARGIN = 1.5
-# Smallest log evidence [nats] of a further cause that fits (an earlier one whose formula is inexact
-# leaves a part of its effect), and of the first cause where no torque was logged.
-MIN_FURTHER_EVIDENCE = 60.0
-# Amplitude of a usual ripple, which is no cause, divided by the joint's dry friction.
-USUAL_RIPPLE_SHARE = 0.07
-# Listed formulas are not exact: of the evidence of a smooth function, which fits any shape, this
-# part counts.
-SMOOTH_SHARE = 1 / 1.2
-# Prior odds of a cause on no list to one on the list, where one is detected: 4 to 10 in the logs with
-# odd numbers and currents of the sealed round L, by the rule of succession.
-UNLISTED_ODDS = 5 / 11
 # Number of Gaussian bumps of a smooth function, which stands for a cause on no list, by variable.
 BUMPS_OF = {"angle": 28, "angle and direction": 20, "angle, one way": 20, "angle, other way": 20}
 BUMPS_OF |= {"speed": 14, "load": 10, "time": 28}
@@ -283,8 +256,8 @@ class Found:
     ranking : posterior over the next cause from which it was taken
     probability : posterior of it and its twins, given that there is a cause, listed or not
     twins : labels of causes that these data do not distinguish from it, itself first
-    rival : log evidence of the best unlisted cause, of a smooth function `SMOOTH_SHARE` of it
-        [nats]
+    rival : log evidence of the best unlisted cause, of a smooth function `Settings.smooth_share`
+        of it [nats]
     usual : whether it is no larger than in a healthy arm
     """
 
@@ -315,8 +288,8 @@ class Found:
             self.listed
             and name not in DOUBTFUL_CAUSES
             and not self.usual
-            and self.gain >= max(MIN_EVIDENCE["torque"], self.rival)
-            and self.gain >= HEALTHY_MARGIN * HEALTHY_EVIDENCE.get(name, 0.0)
+            and self.gain >= max(SETTINGS.min_log_evidence["torque"], self.rival)
+            and self.gain >= SETTINGS.healthy_margin * SETTINGS.healthy_log_evidence.get(name, 0.0)
             and self.probability >= 0.95
         )
 
@@ -342,10 +315,9 @@ def search(problem: LogProblem) -> tuple[tuple[Found, ...], tuple[Posterior, ...
     """Return the causes of a log, added one by one until no additional one is detected.
 
     The second item is the posterior over the next cause in each step.
-    The search also ends where evidence is below `MIN_EVIDENCE`, after a second unlisted cause and
-    after `MAX_CAUSES`.
+    It also ends below `Settings.min_log_evidence`, after a second unlisted or a third cause.
     """
-    least = min(MIN_EVIDENCE[r.kind] for r in problem.rows)
+    least = min(SETTINGS.min_log_evidence[r.kind] for r in problem.rows)
 
     def next_given(found: Sequence[Found]) -> Found:
         """Return the most probable cause in addition to some."""
@@ -358,12 +330,12 @@ def search(problem: LogProblem) -> tuple[tuple[Found, ...], tuple[Posterior, ...
         detected = best.ranking.none <= 0.02 and best.gain >= least
         return detected and sum(not f.listed for f in found) < 2
 
-    found, last = stepwise(next_given, is_cause, MAX_CAUSES)
+    found, last = stepwise(next_given, is_cause, 3)
     return tuple(found), tuple(f.ranking for f in (*found, last))
 
 
 def is_usual_ripple(problem: LogProblem, found: Found) -> bool:
-    """Return whether a cause is a ripple with an amplitude of at most `USUAL_RIPPLE_SHARE`.
+    """Return whether a cause is a ripple with an amplitude of at most `Settings.usual_ripple_share`.
 
     Without torques it is unknown, and False is returned.
     """
@@ -375,22 +347,22 @@ def is_usual_ripple(problem: LogProblem, found: Found) -> bool:
     x, here = problem.with_causes(columns).fit.x, np.isin(rows[0].columns, columns)
     amplitude = np.sqrt(2) * (rows[0].H[:, here] @ x[len(problem.mean) :]).std()
     dry = abs(x[problem.names.index(("torque", str(rows[0].joint), "slip"))])
-    return bool(amplitude < USUAL_RIPPLE_SHARE * dry)
+    return bool(amplitude < SETTINGS.usual_ripple_share * dry)
 
 
 def next_cause(problem: LogProblem, ranking: Posterior) -> Found:
     """Return the most probable listed cause with its twins, or the unlisted one if that is more probable.
 
-    Unlisted causes have the prior odds `UNLISTED_ODDS`, a quarter for rivals by name, the rest for
-    smooth functions, of whose largest evidence `SMOOTH_SHARE` counts.
+    Unlisted causes have the prior odds `Settings.unlisted_odds`, a quarter for rivals by name, the
+    rest for smooth functions, of whose largest evidence `Settings.smooth_share` counts.
     """
     listed = [k for k in ranking.order if problem.by_label[k].listed]
     mass = {}  # log evidence of each unlisted cause that counts, with its prior
     for k, factor in ranking.log_factor.items():
         if not (candidate := problem.by_label[k]).listed:
             smooth = candidate.name == "unknown"
-            counts = SMOOTH_SHARE * factor if smooth and factor > 0 else factor
-            mass[k] = counts + float(np.log(UNLISTED_ODDS * (0.75 if smooth else 0.25)))
+            counts = SETTINGS.smooth_share * factor if smooth and factor > 0 else factor
+            mass[k] = counts + float(np.log(SETTINGS.unlisted_odds * (0.75 if smooth else 0.25)))
     top, twins = listed[0], twins_of(listed[0], ranking)
     best = list(mass)[first_of_best(list(mass.values()), logs=True)] if mass else top
     kinds = {problem.by_label[k].name == "unknown": v for k, v in sorted(mass.items(), key=lambda item: item[1])}

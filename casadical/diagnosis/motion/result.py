@@ -14,21 +14,19 @@ from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, rounded_at
 from casadical.diagnosis.motion.effect_table import EffectTable
-from casadical.diagnosis.motion.engine import MIN_FURTHER_EVIDENCE, Found, LogProblem, joint_of, search
+from casadical.diagnosis.motion.engine import Found, LogProblem, joint_of, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
 from casadical.diagnosis.motion.hypotheses import NAMED_RIVALS, problem_of
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
 from casadical.diagnosis.motion.view import UNDECLARED_PAYLOAD_SHARE, LogView, log_view
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
 REGION_PARTS = 4  # number of quantile ranges of each variable in which a residual is compared
-# Smallest log evidence [nats] of a hint on the whole arm, which gathers errors of all joints: 1.5
-# times the largest in 13 healthy logs of an SO-101 with commands alone.
-MIN_ARM_HINT_EVIDENCE = 156.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,19 +88,19 @@ class LogDiagnosis(Result):
     def fitting(self) -> tuple[Found, ...]:
         """Return the causes that fit (see `Found.fits`), at most one of each joint.
 
-        Further ones, and all without torques, have at least `MIN_FURTHER_EVIDENCE`, those without
-        torques and of no joint `MIN_ARM_HINT_EVIDENCE`. They are named if torques were logged, else
-        hints; () if the log is faulty.
+        Further ones, and all without torques, have at least `Settings.min_further_log_evidence`,
+        those without torques and of no joint `Settings.min_arm_hint_log_evidence`. They are named
+        if torques were logged, else hints; () if the log is faulty.
         """
         found = () if self.faults else self.found
         joints = [joint_of(f.label) for f in found]
         alone = self.view.motion.torque is None
-        least = MIN_FURTHER_EVIDENCE if alone else 0.0
+        least = SETTINGS.min_further_log_evidence if alone else 0.0
         return tuple(
             f
             for k, f in enumerate(found)
-            if f.fits and f.gain >= (MIN_FURTHER_EVIDENCE if k else least) and joints[k] not in joints[:k]
-            if joints[k] or f.gain >= MIN_ARM_HINT_EVIDENCE or not alone
+            if f.fits and f.gain >= (SETTINGS.min_further_log_evidence if k else least) and joints[k] not in joints[:k]
+            if joints[k] or f.gain >= SETTINGS.min_arm_hint_log_evidence or not alone
         )
 
     @property
