@@ -50,8 +50,9 @@ def refusal(error: object) -> None:
         for f in error.faults[:MAX_FAULTS_SHOWN]:
             numbers = ", ".join(map(str, f.rows[:max_rows_named]))
             numbers += " ..." * (len(f.rows) > max_rows_named)
-            rows.append((f.source, numbers, f.column, f.value, f.allowed or f.wrong, f.remedy))
-        columns = ("file", "rows", "column", "value", "allowed", "what to do")
+            fault = f"allowed: {f.allowed}" if f.allowed else f.wrong
+            rows.append((f.source, numbers, f.column, f.value, fault, f.remedy))
+        columns = ("file", "rows", "column", "value", "fault", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value first; {numbering}"
         width = None if sys.stderr.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL
         Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
